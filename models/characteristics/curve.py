@@ -12,6 +12,7 @@ one for every segment whose slope is not s, measured from its end nearer to rest
 falls in some segments is such a sum as well.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +28,7 @@ STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over t
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Straight pieces, P of them, of a curve's deviation from its line.
+    """Straight pieces, P of them, of a curve's deviation from its line, or those of several curves, shape (..., P).
 
     Attributes:
         slope: a [N per unit of the argument], shape (P,).
@@ -43,8 +44,11 @@ class Pieces:
     def force(self, x: Array) -> Array:
         """Returns the sum of the pieces at some arguments [N], shape (...)."""
         # This runs in each stage of a step: NumPy's `clip` and `sum` take twice as long.
-        pieces = np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high)
-        return pieces.dot(np.ones(len(self.slope)))
+        return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
+
+    @cached_property
+    def _ones(self) -> Array:
+        return np.ones(self.slope.shape[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,17 @@ class ForceCurve:
     note: str = ""
     whole: "ForceCurve | None" = None
     error: float = 0.0
+
+    @staticmethod
+    def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
+        """Returns curves that are evaluated together, for arguments of a shape (..., *shape)."""
+        width = max(len(one.pieces.slope) for one in curves)
+        stacked = np.zeros((4, len(curves), width))
+        for i, one in enumerate(curves):
+            own = one.pieces
+            stacked[:, i, : len(own.slope)] = own.slope, own.start, own.low, own.high
+        pieces = Pieces(*stacked.reshape(4, *shape, width))
+        return StackedCurves(pieces, np.reshape([one.slope for one in curves], shape))
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""
@@ -164,6 +179,19 @@ class ForceCurve:
             share = (np.sign(apart[i]) * limit - apart[i - 1]) / (apart[i] - apart[i - 1])
             arguments.append(float(x[i - 1] + share * (x[i] - x[i - 1])))
         return arguments[0], arguments[1]
+
+
+@dataclass(frozen=True, eq=False)
+class StackedCurves:
+    """Several curves, evaluated together.
+
+    Attributes:
+        pieces: pieces of each, shape (..., P).
+        slope: slope of the line of each, shape (...).
+    """
+
+    pieces: Pieces
+    slope: Array
 
 
 def slope_at_rest(x: Array, force: Array) -> float:

@@ -1,7 +1,7 @@
 """Interface of exact equations of motion, independent of MuJoCo; nonlinear if the vehicle is."""
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from models.common.arrays import Array
 
@@ -49,4 +49,18 @@ class Motion(Protocol):
 
         It leaves out inputs, and what is a sum of other signals.
         """
+        ...
+
+
+@runtime_checkable
+class StoredEnergy(Protocol):
+    """Energy that a vehicle stores, from its own equations: a part of a `Motion` that a user's vehicle type may omit."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Returns the joints of the MJCF whose positions, and then their velocities, are the state, n / 2 of them."""
+        ...
+
+    def energy(self, state: Array, heights: Array) -> Array:
+        """Returns potential and kinetic energy without the forces beyond the linear ones [J], shape (T, 2)."""
         ...

@@ -15,7 +15,11 @@ Where links give the body axes, c below its centre of mass for pitch and b for r
 
     (s sin theta, -b sin phi, z - c + s cos theta),     s = c - b (1 - cos phi).
 
-With j = m s^2 + I, Lagrange's equations are then
+With j = m s^2 + I, the kinetic energy is
+
+    (m z'^2 + j theta'^2 + (I_x + m b^2) phi'^2) / 2 - m (s sin theta theta' + b sin phi cos theta phi') z',
+
+and Lagrange's equations are then
 
     m (z'' + g) - m s sin theta theta'' - m b sin phi cos theta phi'' = Q_z + (what the products of rates leave),
     j theta'' - m s sin theta (z'' + g) = Q_theta - j' phi' theta',
@@ -32,13 +36,14 @@ the vehicle file does not say.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.kind import GRAVITY
-from models.kinds.rigid_body import RigidBody
+from models.kinds.rigid_body import LOADS, RigidBody
 from models.kinds.signals import Signal
 
 if TYPE_CHECKING:
@@ -104,12 +109,8 @@ class RigidMotion:
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
         """See `Motion`."""
         q, hubs, rates, hub_rates = self._split(state)
-        spring, damper, tyre, rubber, unsprung = (
-            np.array([getattr(corner, name) for corner in self.body.corners])
-            for name in ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping", "unsprung_mass")
-        )
+        spring, damper, tyre, rubber, unsprung, resting = self._corners
         d, v, J, up = self._struts(q, hubs, rates, hub_rates)
-        resting = self.body.static_loads()
         push = resting - spring * d - damper * v - pulls(d, v) + inputs
         under = resting + unsprung * GRAVITY - tyre * (hubs - heights)
         if rubber.any():
@@ -158,49 +159,78 @@ class RigidMotion:
                 turning[:, 2:] = turning[:, 2:] * cos - roll_rate * pitch_rate * sin
         return dict(zip(self.further, np.concatenate([*columns, *heights_now], axis=1).T, strict=True))
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `StoredEnergy`."""
+        k = self.shape.shape[1]
+        modes = [load.joint for load in LOADS[:k]] if k > 1 else ["sprung"]
+        return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
+
+    def energy(self, state: Array, heights: Array) -> Array:
+        """See `StoredEnergy`. Weights, linear springs of suspensions, tyres and anti-roll bars have the potential energy."""
+        q, hubs, rates, hub_rates = self._split(state)
+        spring, _, tyre, _, unsprung, resting = self._corners
+        d, lifted = self._struts(q, hubs, rates, hub_rates)[0], q[:, 0]
+        under = np.maximum(0.0, resting + unsprung * GRAVITY - tyre * (hubs - heights))
+        potential = (spring * d**2 / 2 - resting * d + under**2 / (2 * tyre) + unsprung * GRAVITY * hubs).sum(axis=1)
+        for bar in self.body.bars:
+            potential += bar.stiffness * (q[:, 2] - hubs @ self.body.arms(bar)) ** 2 / 2
+        kinetic = self.body.mass * rates[:, 0] ** 2 + (unsprung * hub_rates**2).sum(axis=1)
+        if q.shape[1] > 1:
+            sin, cos, side, _, s = self._tilt(q)
+            lifted = lifted - (self.body.pitch_arm or 0.0) + s * cos
+            for own, entry, rate in zip(*self._masses(sin, cos, side, s), rates[:, 1:].T, strict=False):
+                kinetic += (own * rate + 2 * entry * rates[:, 0]) * rate
+        return np.stack([potential + self.body.mass * GRAVITY * lifted, kinetic / 2], axis=-1)
+
+    @cached_property
+    def _corners(self) -> tuple[Array, ...]:
+        """Stiffness and damping of suspensions, those of tyres, unsprung masses, and static loads, each of shape (c,)."""
+        names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping", "unsprung_mass")
+        numbers = (np.array([getattr(corner, name) for corner in self.body.corners]) for name in names)
+        return (*numbers, self.body.static_loads())
+
+    def _tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
+        """Returns sine and cosine of theta, those of phi, and s, each of shape (T,)."""
+        theta, phi = q[:, 1], q[:, 2] if q.shape[1] > 2 else np.zeros(len(q))
+        c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
+        return np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), c - 2 * b * np.sin(phi / 2) ** 2 if b else c
+
+    def _masses(
+        self, sin: Array, cos: Array, side: Array, s: Array | float
+    ) -> tuple[tuple[Array | float, ...], tuple[Array, Array]]:
+        """Returns inertias of pitch and roll, and their entries in the mass matrix's row of heave, each of shape (T,).
+
+        Args:
+            sin, cos, side, s: sine and cosine of theta, sine of phi, and s, as `_tilt` returns them.
+        """
+        body, b = self.body, self.body.roll_arm or 0.0
+        pitch = body.pitch_inertia + (self.yaw_inertia - body.pitch_inertia) * side**2 + body.mass * s**2
+        roll = (body.roll_inertia or 0.0) + body.mass * b**2
+        return (pitch, roll), (-body.mass * s * sin, -body.mass * b * side * cos)
+
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
         """Returns q'' under generalized forces, shape (T, k)."""
-        if self.body.guided:
-            return self._swaying(q, rates, push)
-        second = np.empty_like(q)
-        second[:, 0] = push[:, 0] / self.body.mass - GRAVITY
-        if q.shape[1] < 3:
-            second[:, 1:] = push[:, 1:] / self.body.pitch_inertia
-            return second
-        assert self.body.roll_inertia is not None, "a body that rolls"
-        sin, cos = np.sin(q[:, 2]), np.cos(q[:, 2])
-        more = self.yaw_inertia - self.body.pitch_inertia
-        inertia, slope = self.body.pitch_inertia + more * sin**2, 2 * more * sin * cos
-        second[:, 1] = (push[:, 1] - slope * rates[:, 1] * rates[:, 2]) / inertia
-        second[:, 2] = (push[:, 2] + slope * rates[:, 1] ** 2 / 2) / self.body.roll_inertia
-        return second
-
-    def _swaying(self, q: Array, rates: Array, push: Array) -> Array:
-        """Returns q'' of a body whose centre of mass sways, under generalized forces, shape (T, k)."""
-        mass, c, b = self.body.mass, self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
-        rolls = q.shape[1] > 2
-        phi, phi_dot = (one[:, 2] if rolls else np.zeros(len(q)) for one in (q, rates))
-        theta_dot, sin, cos = rates[:, 1], np.sin(q[:, 1]), np.cos(q[:, 1])
-        side, turned = np.sin(phi), np.cos(phi)
-        s, s_dot = c - 2 * b * np.sin(phi / 2) ** 2, -b * side * phi_dot
-        more = self.yaw_inertia - self.body.pitch_inertia
-        inertia = self.body.pitch_inertia + more * side**2 + mass * s**2
-        slope = 2 * more * side * turned - 2 * mass * s * b * side
-        by_pitch, by_roll = -mass * s * sin, -mass * b * side * cos  # of the heave's row
+        mass, b = self.body.mass, self.body.roll_arm or 0.0
+        if q.shape[1] == 1:
+            return push / mass - GRAVITY
+        sin, cos, side, turned, s = self._tilt(q)
+        inertias, entries = self._masses(sin, cos, side, s)
+        lift, moments = push[:, 0], list(push[:, 1:].T)
+        theta_dot, phi_dot = rates[:, 1], rates[:, 2] if q.shape[1] > 2 else np.zeros(len(q))
+        if q.shape[1] > 2:
+            slope = 2 * (self.yaw_inertia - self.body.pitch_inertia) * side * turned - 2 * mass * s * b * side
+            moments = [moments[0] - slope * theta_dot * phi_dot, moments[1] + slope * theta_dot**2 / 2]
+        if not self.body.guided:
+            turns = [moment / own for moment, own in zip(moments, inertias, strict=False)]
+            return np.stack([lift / mass - GRAVITY, *turns], axis=-1)
         # What the rates' products leave in the heave's row: the change of both entries.
-        left = -mass * (s_dot * sin + s * cos * theta_dot) * theta_dot
-        left = left - mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
-        moments = [push[:, 1] - slope * phi_dot * theta_dot]
-        entries, masses = [by_pitch], [inertia]
-        if rolls:
-            assert self.body.roll_inertia is not None, "a body that rolls"
-            moments.append(push[:, 2] + slope * theta_dot**2 / 2)
-            entries, masses = [by_pitch, by_roll], [inertia, self.body.roll_inertia + mass * b**2]
-        of_others = sum(entry * moment / own for entry, moment, own in zip(entries, moments, masses, strict=True))
-        lifted = (push[:, 0] - left - of_others) / (
-            mass - sum(entry**2 / own for entry, own in zip(entries, masses, strict=True))
-        )
-        turns = [(moment - entry * lifted) / own for entry, moment, own in zip(entries, moments, masses, strict=True)]
+        lift = lift + mass * (s * cos * theta_dot - b * side * phi_dot * sin) * theta_dot
+        lift = lift + mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
+        rows = list(zip(entries, moments, inertias, strict=False))
+        of_others = sum(entry * moment / own for entry, moment, own in rows)
+        lifted = (lift - of_others) / (mass - sum(entry**2 / own for entry, _, own in rows))
+        turns = [(moment - entry * lifted) / own for entry, moment, own in rows]
         return np.stack([lifted - GRAVITY, *turns], axis=-1)
 
     def _split(self, state: Array) -> tuple[Array, Array, Array, Array]:
@@ -230,7 +260,7 @@ class RigidMotion:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
         # Of a strut that leans by little, the difference of two lengths would lose what this keeps.
-        d = (along**2 + across**2) / (length + height) + rise
+        d = np.where(height > 0, (along**2 + across**2) / (length + np.abs(height)), length - height) + rise
         return d, (by_q * rates[:, None]).sum(axis=-1) - J[0] * hub_rates, by_q, J[0]
 
 

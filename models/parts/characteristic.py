@@ -37,7 +37,12 @@ class Characteristic(Part):
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`. It is exactly 0 along the line."""
-        return self.ratio * self.factor * self.own.pieces.force(self.ratio * self.over(d, v))
+        x = v if self.argument == "velocity" else d
+        return self.own.pieces.force(x) if self._alone else self.ratio * self.factor * self.own.pieces.force(self.ratio * x)
+
+    @cached_property
+    def _alone(self) -> bool:
+        return isinstance(self.factor, float) and self.factor == 1 and isinstance(self.ratio, float) and self.ratio == 1
 
     @cached_property
     def line(self) -> Line:

@@ -391,6 +391,10 @@ def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
         elif all(isinstance(value, float) for value in values):
             if any(value != values[0] for value in values):
                 changed[one.name] = np.reshape(values, shape)
+        elif (together := getattr(type(values[0]), "together", None)) is not None:
+            if any(type(value) is not type(values[0]) for value in values):
+                return None
+            changed[one.name] = together(values, shape)
         elif any(bool(np.any(value != values[0])) for value in values):
             return None
     return replace(first, **changed) if changed else first  # pyright: ignore[reportArgumentType]

@@ -260,7 +260,8 @@ class Vehicle(Shown):
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
         model = self.kind.model(self.parameters)
-        more = [one for one in self.parts if not one.parameter and (one.part.line.stiffness or one.part.line.damping)]
+        more = [one for one in self.parts if not one.parameter] if self.elements else []
+        more = [one for one in more if one.part.line.stiffness or one.part.line.damping]
         if not more:
             return model
         names, lines = [one.deflection for one in more], [one.part.line for one in more]

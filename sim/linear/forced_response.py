@@ -34,12 +34,11 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
             of RK4.
     """
     vehicle, h, model = road.vehicle, road.timestep, with_lag(road.vehicle)
-    of_heights = model.C @ model.jump + model.Cr
     if vehicle.is_curved:
-        from sim.linear.stepped import driven_response
+        from sim.linear.stepped import forced
 
-        return with_linear_sides(driven_response(forces, road), road, of_heights, True)
-    loads = road.held if road.pushed else None
+        return forced(forces, road).single
+    of_heights, loads = model.C @ model.jump + model.Cr, road.held if road.pushed else None
     outside = [] if loads is None else [model.Bh]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
     jump, add = road.heights @ model.jump.T, 0.0 if loads is None else road.in_signals @ model.Dh.T

@@ -131,9 +131,9 @@ def sampled_responses(
     """
     vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
     if vehicle.is_curved:
-        from sim.linear.stepped import stepped_responses
+        from sim.linear.stepped import stepped
 
-        return stepped_responses([controller] * len(roads), roads)
+        return stepped([controller] * len(roads), roads).response
     how, model, time = vehicle.implementation, cut.model, roads[0].time
     loads = np.stack([road.held for road in roads]) if any(road.pushed for road in roads) else None
     outside = [] if loads is None else [model.Bh]

@@ -13,9 +13,10 @@ force. No limit of travel or force acts.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import error_in
@@ -30,8 +31,8 @@ from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import damper_signals, stretching, turns
 from sim.linear.linear_motion import lag_rates, suspensions_of
-from sim.linear.sampled_response import forces_ahead, response_of
-from sim.response.recursion import SHARES, WEIGHTS
+from sim.linear.sampled_response import forces_ahead, response_of, with_linear_sides
+from sim.response.recursion import SHARES, WEIGHTS, recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
 
@@ -228,12 +229,63 @@ class _Laws:
         return answer[:, :m], answer[:, m : m + k], answer[:, m + k :]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; the run says so
-def stepped_responses(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> Response:
-    """Returns the responses of sampled loops from rest, values of shape (N, T, S).
+@dataclass(frozen=True, eq=False)
+class SteppedRuns:
+    """N runs over T samples.
 
-    Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample; of laws with fewer
-    states than others the last ones are 0.
+    Attributes:
+        steps: steps of the vehicle.
+        inputs: the N roads.
+        states: xi, shape (T, N, n).
+        given: inputs that are held from each sample on, shape (T, N, m).
+        missing: forces that adjustable dampers omit [N], shape (T, N, m), or (T, N, 0) without such dampers.
+        kept: states of the laws, each as it was at the law's last sample, shape (N, T, k).
+    """
+
+    steps: Stepper
+    inputs: Sequence[RoadInput]
+    states: Array
+    given: Array
+    missing: Array
+    kept: Array
+
+    @property
+    def response(self) -> Response:
+        """The vehicle's signals and, after them, the states of the laws, values of shape (N, T, S)."""
+        each = (self.states, self.given, self.missing)
+        runs = [self.steps.response(road, *(one[:, i] for one in each)) for i, road in enumerate(self.inputs)]
+        response = Response(self.inputs[0].time, self.inputs[0].vehicle.kind.signals, np.stack(runs))
+        kept = self.kept.shape[-1]
+        return response.beside(kept_signals(range(1, kept + 1)), self.kept) if kept else response
+
+    @property
+    def single(self) -> Response:
+        """The first response, with its values on the other side of vertical edges."""
+        model = self.steps.model
+        return with_linear_sides(self.response.run(0), self.inputs[0], model.C @ model.jump + model.Cr, True)
+
+    @property
+    @np.errstate(over="ignore", invalid="ignore")
+    def finer(self) -> Response:
+        """The same without RK4's own error, which is estimated.
+
+        The error of a step follows from two steps of half its length, side by side for all steps. It goes on as in the linear
+        model without its controller.
+        """
+        h, model = self.inputs[0].timestep, self.steps.model
+        half = Stepper(self.inputs[0].vehicle, h / 2)
+        added = half.outside(self.inputs) + self.given @ half.by_inputs
+        start, added = (one.reshape(-1, one.shape[-1]) for one in (self.states, added))
+        end = half(half(start, added), added).reshape(self.states.shape)
+        local = np.zeros_like(self.states)
+        local[:-1] = 16 / 15 * (end[:-1] - self.states[1:])  # of a method of order 4
+        error = np.moveaxis(recursion(linalg.expm(model.A * h), np.moveaxis(local, 1, 0)), 0, 1)
+        return replace(self, states=self.states + error).response
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; the run says so
+def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
+    """Returns the runs of sampled loops from rest. Of laws with fewer states than others the last states are 0.
 
     Args:
         controllers: N linear controllers, whose measurements are taken without noise.
@@ -268,20 +320,17 @@ def stepped_responses(controllers: Sequence[Controller], inputs: Sequence[RoadIn
                 by_inputs = now @ steps.by_inputs
             given[k], missing[k] = now, lost
         xi = steps(xi, added[k] if by_inputs is None else added[k] + by_inputs)
-    runs = [steps.response(road, *(one[:, i] for one in (states, given, missing))) for i, road in enumerate(inputs)]
-    response = Response(time, vehicle.kind.signals, np.stack(runs))
-    if not laws.states:
-        return response
     factors = np.array([one.law.of_state(period * h) for one in controllers])[:, None, None]
-    kept = factors * np.moveaxis(kept_along, 0, 1)[:, np.arange(samples) // period]
-    return response.beside(kept_signals(range(1, laws.states + 1)), kept)
+    kept_along = factors * np.moveaxis(kept_along, 0, 1)[:, np.arange(samples) // period]
+    return SteppedRuns(steps, inputs, states, given, missing, kept_along)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def driven_response(forces: Array, road: RoadInput) -> Response:
-    """Returns the response from rest to forces that are requested at every sample [N], shape (T, m)."""
-    vehicle, steps = road.vehicle, Stepper(road.vehicle, road.timestep)
-    added, states = steps.outside([road])[:, 0] + forces @ steps.by_inputs, np.zeros((len(road.time), len(steps.model.A)))
+def forced(forces: Array, road: RoadInput) -> SteppedRuns:
+    """Returns the run from rest under forces that are requested at every sample [N], shape (T, m)."""
+    steps = Stepper(road.vehicle, road.timestep)
+    added, states = steps.outside([road]) + (forces @ steps.by_inputs)[:, None], np.zeros((len(road.time), 1, len(steps.model.A)))
     for k in range(len(states) - 1):
-        states[k + 1] = steps(states[None, k], added[None, k])[0]
-    return Response(road.time, vehicle.kind.signals, steps.response(road, states, forces, np.zeros_like(forces)))
+        states[k + 1] = steps(states[k], added[k])
+    given = np.asarray(forces)[:, None]
+    return SteppedRuns(steps, [road], states, given, np.zeros_like(given), np.zeros((1, len(states), 0)))

@@ -5,15 +5,17 @@ tyres' springs. Within a step the stored energy changes by the work of actuators
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
-with E the kinetic and potential energy (gravity, springs, tyres, bump stops), as MuJoCo computes it. The residual is the error of
-the integrator and of the integrals. The integrals use Simpson's rule. The middle of a step follows from lengths l and speeds l'
-at both its ends by Hermite's cubic, whose slope there has an error of the fourth power of the step. So the residual is of RK4's
-order, 4, while every spring is linear in its length. If a spring starts or stops acting within a step (a tyre leaves the road, a
-bump stop is touched), the force has a kink there, and the residual is only of about second order. The same holds at the knots of
-curves. The deviation of a spring's curve from its line has the curve's integral as energy. For a damper's curve it is Simpson's
-rule of the power.
+with E the kinetic and potential energy. The residual is the error of the integrator and of the integrals. The integrals use
+Simpson's rule. The middle of a step follows from lengths l and speeds l' at both its ends by Hermite's cubic, whose slope there
+has an error of the fourth power of the step. So the residual is of RK4's order, 4, while every spring is linear in its length. If
+a spring starts or stops acting within a step (a tyre leaves the road, a bump stop is touched), the force has a kink there, and
+the residual is only of about second order. The same holds at the knots of curves.
 
-The work of any other force, one of no spring, weight, damper, load or actuator of the vehicle, appears in the residual.
+E comes from the vehicle's own equations (`StoredEnergy`): masses, inertias, weights and linear springs are those of the vehicle
+file. The states come from MuJoCo, so the work of a wrong mass or spring of its model appears in the residual, as that of any
+other force does that the vehicle does not have. For a vehicle type whose equations do not have their energy, E is what MuJoCo
+computes, and only the comparison with the linear model checks the masses. Forces of suspensions beyond the linear ones, bump
+stops and the largest force of an actuator are always those of the vehicle file; coefficients of linear dampers are the model's.
 
 An actuator should push along the deflection of its suspension, and its work is counted along that signal. An actuator that acts
 on one end only, or through a gear, therefore leaves a residual, too. The work of an actuator without a suspension (it pushes
@@ -22,9 +24,6 @@ model. The force of an adjustable damper beyond the nominal one is -d l', with d
 Its work is taken by Simpson's rule, too. A separate check of force and speed at every sample confirms that it takes energy,
 whatever the commanded coefficient.
 
-Masses, springs and dampers are those of the MJCF; the comparison with the linear model checks them against the vehicle. Bump
-stops and the largest force of an actuator are those of the vehicle file.
-
 The residual is relative to the turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic
 energy. Lifting the weight is excluded: it would hide small residuals.
 """
@@ -32,8 +31,9 @@ energy. Lifting the weight is excluded: it would hide small residuals.
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import functools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -45,8 +45,10 @@ from models.common.printed import difference
 from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
+from models.kinds.motion import StoredEnergy
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
@@ -55,7 +57,7 @@ from sim.response.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.characteristics.stops import Stops
+    from models.parts.part import SettablePart, SuspensionPart
 
 # Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
 # vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
@@ -148,128 +150,152 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
         runs: N runs of MuJoCo.
         until: time at which the vehicle broke off [s], if before it diverged.
     """
-    vehicle, time, (model, along) = road.vehicle, road.time, _observed(road.vehicle, float(road.time[1]))
-    h, count = float(time[1]), int(np.searchsorted(time, min(until, runs.diverged[index])))
+    vehicle, count = road.vehicle, int(np.searchsorted(road.time, min(until, runs.diverged[index])))
     if count < 2:
         least, loads = 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None
         return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, least, loads)
-    qpos, qvel = runs.qpos[index, :count], runs.qvel[index, :count]
-    midway = road.midway[:count]
-    # The road moves between steps, so every state is evaluated twice: with the road of the step that ends and of the next.
-    starts = _look(vehicle, model, qpos, qvel, midway)
-    ends, moved = starts[1:].copy(), np.any(midway[1:] != midway[:-1], axis=1)
-    ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
-    rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
-    rubber = _FittedForces(vehicle, model)
-    of_road, of_rubber = rubber.powers(starts, ends, road)
-    starts, ends, rest = (rubber.taken_out(each) for each in (starts, ends, rest))
-
-    actuators, curves, stops = len(vehicle.linear_model.inputs), vehicle.fitted, _pushing_stops(vehicle)
-    stored = starts[:, 0] + starts[:, 1]
-    lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
-    grown = ends[:, 2::2] - lengths[:-1]  # within a step, over its road, which may carry a damper or an actuator
-    middle = 1.5 * grown / h - (speeds[:-1] + speeds[1:]) / 4
-    forces = np.stack([runs.response[name][index, :count] for name in vehicle.linear_model.inputs], axis=-1)
-    ratios = vehicle.ratios_along(runs.response.run(index).samples(slice(count)).__getitem__)
-    along = np.broadcast_to(along * ratios, forces.shape)
-    first, *inner, last = along[:-1] * _acting(vehicle, forces, runs.requested_force[index, :count], h)
-    if vehicle.limits.actuator_bandwidth is None:
-        work = first * grown[:, :actuators]  # the work of a held force is exact
-    else:
-        amid = 2 * (inner[0] + inner[1]) * middle[:, :actuators]
-        work = (first * speeds[:-1, :actuators] + amid + last * speeds[1:, :actuators]) * h / 6
-    least = None
-    if vehicle.dampers:
-        response = runs.response.run(index).until(float(time[count - 1]) + h / 2)
-        least = _by_dampers(vehicle, response, along, speeds, middle, work)
-    dampers, damping = slice(actuators, speeds.shape[1] - len(curves) - len(stops)), _damping(model)
-    losses = (speeds[:-1, dampers] ** 2 + 4 * middle[:, dampers] ** 2 + speeds[1:, dampers] ** 2) * damping * h / 6
-    in_springs, in_dampers = np.zeros(count), np.zeros(count - 1)
-    for i, fitted in enumerate(curves, dampers.stop):
-        if fitted.damps:
-            d = lengths[:-1, i] - rest[0, 2 + 2 * i]
-            amid = d + grown[:, i] / 2 + h / 8 * (speeds[:-1, i] - speeds[1:, i])
-            at = (d, speeds[:-1, i]), (amid, middle[:, i]), (d + grown[:, i], speeds[1:, i])
-            power = [v * fitted.beyond(d, v) for d, v in at]
-            in_dampers += (power[0] + 4 * power[1] + power[2]) * h / 6
-        else:
-            in_springs += fitted.curve.work(lengths[:, i] - rest[0, 2 + 2 * i])
-    for i, both in enumerate(stops.values(), dampers.stop + len(curves)):
-        in_springs += both.work(lengths[:, i] - rest[0, 2 + 2 * i])
-
-    by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1) + of_road]))
-    by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
-    by_loads, pushed = np.zeros(count), 0.0
+    path = _Path(runs.qpos[index, :count], runs.qvel[index, :count], road)
+    response = runs.response.run(index).samples(slice(count))
+    work, least = _by_inputs(vehicle, path, response, runs.requested_force[index, :count])
+    by_loads = np.zeros(count - 1)[:, None]
     if road.loaded:  # loads are held and act along joints, so their work is exact
-        pushes = road.held_loads[: count - 1] * np.diff(qpos[:, pushed_dofs(vehicle, model)], axis=0)
-        by_loads, pushed = np.concatenate([[0.0], np.cumsum(pushes.sum(axis=1))]), float(np.abs(pushes).sum())
-    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers + of_rubber)])
-    change = stored + in_springs - rest[0, :2].sum()
-    turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max()) + pushed
-    scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
-    residual = float(np.max(np.abs(by_road + by_actuators + by_loads - change - lost))) / scale
-    if _has_kinks(vehicle, runs.response.run(index).until(float(time[count - 1]) + h / 2)):
-        allowed = BALANCED
-    else:
-        rounding = float(np.finfo(float).eps) * count * float(np.abs(starts[:, :2]).max())
-        allowed = min(BALANCED, max(SMALLEST, SMOOTH * (h * _fastest(vehicle)) ** 4) + rounding / scale)
-    loads = float(by_loads[-1]) if road.loaded else None
-    road_did, forces_did, changed, taken = (float(sums[-1]) for sums in (by_road, by_actuators, change, lost))
-    return Energy(road_did, forces_did, changed, taken, turnover, residual, least, loads, allowed)
+        moved = np.diff(runs.qpos[index, :count, pushed_dofs(vehicle, path.model)].T, axis=0)
+        by_loads = road.held_loads[: count - 1] * moved
+    by_road, lost = _by_tyres(path, road)
+    damping = np.concatenate([path.model.tendon_damping, path.model.dof_damping])
+    for number in np.flatnonzero(damping):
+        length = path.length(number)
+        lost += length.integral(damping[number] * v**2 for _, v in length.stages)
+    (start, end, rest), in_parts = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest)), np.zeros(count)
+    for one in vehicle.parts:
+        in_part, taken = _of_part(one, path.length(path.model.tendon(one.tendon).id))
+        in_parts += in_part
+        lost += taken
+
+    by_road = _summed(start[1:] - end + by_road) + start[0] - rest
+    stored, lost = start + in_parts - rest, _summed(lost)
+    turnover = float(lost[-1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
+    scale = max(turnover, ROUNDING * abs(float(rest))) or 1.0
+    works = [by_road, _summed(work.sum(axis=1)), _summed(by_loads.sum(axis=1))]
+    residual = float(np.max(np.abs(sum(works) - stored - lost))) / scale
+    rounding = float(np.finfo(float).eps) * count * float(np.abs(path.starts[:, :2]).max()) / scale
+    allowed = _allowed(vehicle, response, path.h, rounding)
+    did, pushed, loads, changed, taken = (float(sums[-1]) for sums in (*works, stored, lost))
+    return Energy(did, pushed, changed, taken, turnover, residual, least, loads if road.loaded else None, allowed)
 
 
-class _FittedForces:
-    """Energy of actuators other than the inputs: damping tyres, and constant forces of struts without springs.
+def _summed(each: Array) -> Array:
+    """Returns the sums of what every step adds, from 0, shape (T,)."""
+    return np.concatenate([[0.0], np.cumsum(each)])
 
-    A tyre's spring has the energy k s^2 / 2 at the squeeze s. The rest R of the force acts between the road, at its velocity w,
-    and the hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
+
+def _of_part(one: "SuspensionPart", length: "_Length") -> tuple[Array, Array | float]:
+    """Returns the stored energy of a part at T samples, and what the part takes without storing it over every step [J].
+
+    Both are without the line of a part whose line is a parameter, which is the vehicle's own spring or damper, and without the
+    force of an input, whose work is counted apart.
+    """
+    part, line = one.part, not one.parameter
+    stored = part.stored(length.d) if line else part.stored_beyond(length.d)
+    if part.stores:
+        return stored, 0.0
+    powers = [v * (part.beyond(d, v) + (part.line(d, v) if line else 0.0)) for d, v in length.stages]
+    return stored, length.integral(powers) - np.diff(stored)
+
+
+@dataclass(frozen=True, eq=False)
+class _Length:
+    """A length over the T - 1 steps of a run.
+
+    Attributes:
+        d: deflection from rest at the samples, over the road of the step that begins [m], shape (T,).
+        v: its rate [m/s], shape (T,).
+        after: deflection at the end of every step, over the road of this step [m], shape (T - 1,).
+        h: duration of a step [s].
     """
 
-    def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
-        """Finds these actuators in the model of `_observed`, whose last sensors are their lengths and speeds."""
-        self.wheels, actuators = damped_tyres(vehicle, model)
-        self.c, bias = model.actuator_gainprm[actuators, 0], model.actuator_biasprm[actuators]
-        self.k = -bias[:, 1]
-        self.rest = bias[:, 0] / self.k
-        names = [model.actuator(i).name for i in range(model.nu)]
-        self.loads = model.actuator_biasprm[[i for i, name in enumerate(names) if name.startswith(STATIC_LOAD)], 0]
-        self.count = len(self.wheels) + len(self.loads)
+    d: Array
+    v: Array
+    after: Array
+    h: float
 
-    def taken_out(self, seen: Array) -> Array:
-        """Returns the sensors of `_look` without theirs, with the energy of springs and constant forces as potential energy."""
-        if not self.count:
-            return seen
-        left = seen[:, : -2 * self.count].copy()
-        left[:, 0] += (self.k * np.maximum(self.rest - self._parts(seen)[0], 0.0) ** 2 / 2).sum(axis=1)
-        left[:, 0] -= seen[:, seen.shape[1] - 2 * len(self.loads) :: 2] @ self.loads
-        return left
+    @cached_property
+    def stages(self) -> tuple[tuple[Array, Array], ...]:
+        """Deflection and rate at the start, in the middle and at the end of every step, shapes (T - 1,)."""
+        (d, v), w, h = (self.d[:-1], self.v[:-1]), self.v[1:], self.h
+        grown = self.after - d
+        return (d, v), (d + grown / 2 + h / 8 * (v - w), 1.5 * grown / h - (v + w) / 4), (self.after, w)
 
-    def powers(self, starts: Array, ends: Array, road: RoadInput) -> tuple[Array | float, Array | float]:
-        """Returns the work of the road beyond the springs', and what is lost, over every step [J], shapes (T - 1,).
+    def integral(self, powers: Iterable[Array]) -> Array:
+        """Returns the integral of a power [W] at the three stages over every step, by Simpson's rule [J], shape (T - 1,)."""
+        first, middle, last = powers
+        return (first + 4 * middle + last) * self.h / 6
 
-        Args:
-            starts, ends: sensors of `_look` at the starts of T steps, and at the ends of the first T - 1.
-            road: road whose velocities are held over the steps.
-        """
-        if not self.wheels:
-            return 0.0, 0.0
-        h, w = road.timestep, road.held_velocities[: len(ends), self.wheels]
-        first, last = [self._parts(each) for each in (starts[:-1], ends)]
-        (length, v), (l_end, v_end) = first, last
-        middle = (length + l_end) / 2 + h / 8 * (v - v_end), 1.5 * (l_end - length) / h - (v + v_end) / 4
-        by_road, lost = np.zeros(len(w)), np.zeros(len(w))
-        for weight, (length, speed) in ((1, first), (4, middle), (1, last)):
-            squeeze = self.rest - length
-            beyond = np.maximum(self.k * squeeze + self.c * (w - speed), 0.0) - self.k * np.maximum(squeeze, 0.0)
-            by_road += weight * h / 6 * (beyond * w).sum(axis=1)
-            lost += weight * h / 6 * (beyond * (w - speed)).sum(axis=1)
-        return by_road, lost
 
-    def _parts(self, seen: Array) -> tuple[Array, Array]:
-        """Returns their lengths and speeds, shapes (T, t)."""
-        first = seen.shape[1] - 2 * self.count
-        own = seen[:, first : first + 2 * len(self.wheels)]
-        return own[:, ::2], own[:, 1::2]
+def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: Array) -> tuple[Array, float | None]:
+    """Returns the work of every input over every step [J], shape (T - 1, m), and `Energy.least`.
+
+    Args:
+        response: signals of physics at T samples.
+        requested: forces requested by the controller, see `PhysicsRuns`.
+    """
+    inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.adjustable}, []
+    forces = np.stack([response[name] for name in inputs], axis=-1)
+    acting, work = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:])
+    for j, name in enumerate(inputs):
+        length, table = path.stroke(vehicle, name), vehicle.ratio_tables.get(vehicle.kind.pushed(name))
+        ratio = table or partial(np.full_like, fill_value=vehicle.motion_ratios[name])
+        speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
+        if name in dampers:
+            work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
+            own = ratio(length.d) * length.v
+            power = (dampers[name].ramp(own, 0.0) - response[name]) * own
+            least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
+        elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
+            travel = table.travel if table else partial(np.multiply, vehicle.motion_ratios[name])
+            work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
+        else:
+            middle = (inner[0] + inner[1]) / 2
+            work[:, j] = length.integral(f * v for f, v in zip((first, middle, last), speeds, strict=True))
+    return work, min(least, default=None)
+
+
+def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
+    """Returns the power of an adjustable damper beyond the nominal one at the stages of `_Length` [W], shape (T - 1,) each.
+
+    Args:
+        response: signals of physics at T samples.
+        speeds: velocities of the damper itself at the stages [m/s].
+    """
+    beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
+    before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
+    share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
+    settings = (before, before + share * (after - before), after)
+    return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
+
+
+def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
+    """Returns the work of the road beyond that on the tyres' springs, and what tyres dissipate, over every step [J], (T - 1,).
+
+    The rest R of a damping tyre's force acts between the road, at its velocity w, and the hub, at l'. The road's power is R w,
+    that on the hub R l', and the difference is lost.
+    """
+    model, by_road, lost = path.model, np.zeros(len(path.ends)), np.zeros(len(path.ends))
+    for wheel, i in zip(*damped_tyres(road.vehicle, model), strict=True):
+        number, c, (force, slope) = model.ntendon + model.nv + i, model.actuator_gainprm[i, 0], model.actuator_biasprm[i, :2]
+        length, w, k, squeeze = path.length(number), road.held_velocities[: len(lost), wheel], -slope, -force / slope
+        near = [(squeeze - path.rest[2 + number] - d, w - v) for d, v in length.stages]
+        beyond = [np.maximum(k * s + c * closing, 0.0) - k * np.maximum(s, 0.0) for s, closing in near]
+        by_road += length.integral(force * w for force in beyond)
+        lost += length.integral(force * closing for force, (_, closing) in zip(beyond, near, strict=True))
+    return by_road, lost
+
+
+def _allowed(vehicle: Vehicle, response: Response, h: float, rounding: float) -> float:
+    """Returns the residual that the integrator explains, see `Energy.allowed`; `rounding` is relative to the turnover, too."""
+    if _has_kinks(vehicle, response):
+        return BALANCED
+    return min(BALANCED, max(SMALLEST, SMOOTH * (h * _fastest(vehicle)) ** 4) + rounding)
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
@@ -279,8 +305,7 @@ def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
-    bent = any(fitted.curve.bent for fitted in vehicle.fitted)
-    bent = bent or any(one.damper.pair is not None for one in vehicle.adjustable)
+    bent = vehicle.is_curved or any(one.damper.pair is not None for one in vehicle.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
 
 
@@ -293,103 +318,76 @@ def _fastest(vehicle: Vehicle) -> float:
     return max([rate, vehicle.limits.actuator_bandwidth or 0.0, *lags])
 
 
-def _by_dampers(vehicle: Vehicle, response: Response, along: Array, speeds: Array, middle: Array, work: Array) -> float:
-    """Writes the work of adjustable dampers beyond the nominal ones, shape (T - 1, m). Returns `Energy.least`.
+class _Path:
+    """Stored energies and lengths of a run at T samples. Lengths are those of tendons, joints and actuators, in this order.
 
-    Args:
-        response: signals at T samples.
-        along: velocities of the dampers over those of the suspensions, held over the steps, shape (T, m).
-        speeds, middle: velocities of the suspensions at the samples [m/s], and in the middle of the steps; the first m columns.
-        work: array that receives the work of each damper [J].
+    Attributes:
+        model: the vehicle's compiled model.
+        h: duration of a step [s].
+        starts: potential and kinetic energy, then lengths, then their rates, over the road of the step that begins, shape (T, n).
+        ends: the same at the end of every step, over the road of this step, shape (T - 1, n).
+        rest: the same at rest, shape (n,).
     """
-    h, least = float(response.time[1]), np.inf
-    for adjustable in vehicle.adjustable:
-        j = vehicle.linear_model.inputs.index(adjustable.force)
-        beyond, v = response[adjustable.coefficient] - adjustable.nominal, along[:, j] * speeds[:, j]
-        amid, after_step = along[:-1, j] * middle[:, j], along[:-1, j] * speeds[1:, j]
-        power, last = v * adjustable.shape(v), after_step * adjustable.shape(after_step)
-        before, after, bandwidth = beyond[:-1], beyond[1:], adjustable.damper.bandwidth
-        share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
-        between, end = before + share * (after - before), after if bandwidth else before
-        work[:, j] = -(before * power[:-1] + 4 * between * amid * adjustable.shape(amid) + end * last) * h / 6
-        power = (adjustable.ramp(v, 0.0) - response[adjustable.force]) * v
-        least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
-    return least
+
+    def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
+        """Evaluates T states, each over the road of the step that begins and, if the road moved, that of the step that ends."""
+        midway, self.h = road.midway[: len(qpos)], road.timestep
+        self.model, moved = _observed(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
+        states = (np.concatenate([one, one[1 + moved], np.zeros_like(one[:1])]) for one in (qpos, qvel))
+        seen = _look(road.vehicle, self.model, *states, np.concatenate([midway, midway[moved], np.zeros_like(midway[:1])]))
+        self.starts, self.ends, self.rest = seen[: len(qpos)], seen[1 : len(qpos)].copy(), seen[-1]
+        self.ends[moved] = seen[len(qpos) : -1]
+
+    def length(self, number: int, factor: float = 1.0) -> "_Length":
+        """Returns a length by its number, times a factor."""
+        d, after = (factor * (one[:, 2 + number] - self.rest[2 + number]) for one in (self.starts, self.ends))
+        return _Length(d, factor * self.starts[:, len(self.rest) // 2 + 1 + number], after, self.h)
+
+    def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
+        """Returns the deflection along which an input acts: that of its suspension, else that of its actuator."""
+        model, kind = self.model, mujoco.mjtSensor
+        firsts = {int(kind.mjSENS_TENDONPOS): 0, int(kind.mjSENS_JOINTPOS): model.ntendon}
+        i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.pushed(force))
+        first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
+        if first is not None:
+            return self.length(first + model.sensor_objid[i], model.sensor_user[i, 0])
+        return self.length(model.ntendon + model.nv + model.actuator(force).id, 1.0 / vehicle.motion_ratios[force])
 
 
-@functools.lru_cache(maxsize=16)
-def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]:
-    """Returns the vehicle's model with the sensors of its energy alone, and every suspension's deflection per length.
-
-    The sensors, in order: potential and kinetic energy; then length and speed of every actuator's direction, of every damped
-    tendon and joint, of the tendon of every curve, of every one that has stops, of every tyre that damps, and of every strut
-    without a spring.
-    """
-    spec = build_spec(vehicle, timestep)
-    kind, of = mujoco.mjtSensor, mujoco.mjtObj
-    speeds = {kind.mjSENS_TENDONPOS: kind.mjSENS_TENDONVEL, kind.mjSENS_JOINTPOS: kind.mjSENS_JOINTVEL}
-    sensors = {sensor.name: sensor for sensor in spec.sensors}
-    pairs, along = [], []
-    for name in vehicle.linear_model.inputs:
-        stroke = sensors.get(vehicle.kind.pushed(name))
-        if stroke is not None and stroke.type in speeds:
-            pairs.append((stroke.type, speeds[stroke.type], stroke.objtype, stroke.objname))
-            along.append(float(stroke.userdata[0]))
-        else:
-            pairs.append((kind.mjSENS_ACTUATORPOS, kind.mjSENS_ACTUATORVEL, of.mjOBJ_ACTUATOR, name))
-            along.append(1.0 / vehicle.motion_ratios[name])  # its length is that of the actuator itself
-    for sensor in list(spec.sensors):
-        spec.delete(sensor)
-    spec.add_sensor(name="potential", type=kind.mjSENS_E_POTENTIAL)
-    spec.add_sensor(name="kinetic", type=kind.mjSENS_E_KINETIC)
-    for tendon in spec.tendons:
-        if tendon.damping[0] > 0:
-            pairs.append((kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon.name))
-    for joint in spec.joints:
-        if joint.damping[0] > 0:
-            pairs.append((kind.mjSENS_JOINTPOS, kind.mjSENS_JOINTVEL, of.mjOBJ_JOINT, joint.name))
-    stops = _pushing_stops(vehicle)
-    tendons = [fitted.tendon for fitted in vehicle.fitted] + list(stops)
-    pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in tendons]
-    rubber = [actuator.target for actuator in spec.actuators if actuator.name.startswith(DAMPER)]
-    rubber += [actuator.target for actuator in spec.actuators if actuator.name.startswith(STATIC_LOAD)]
-    pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in rubber]
-    for name, both in stops.items():
-        for spring in both.springs(0.0):
-            spec.tendon(f"{spring}_{name}").stiffness[:] = 0.0  # stops are counted by the vehicle file
-    for number, (length, speed, what, name) in enumerate(pairs):
-        for sensor in (length, speed):
-            spec.add_sensor(name=f"{sensor.name}_{number}", type=sensor, objtype=what, objname=name)
+@lru_cache(maxsize=16)
+def _observed(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
+    """Returns the vehicle's model for its energy: without bump stops, and with the springs of damping tyres as springs."""
+    spec = build_spec(replace(vehicle, limits=Limits()), timestep)
+    for actuator in spec.actuators:
+        if actuator.name.startswith(DAMPER):
+            spec.tendon(actuator.target).stiffness[0] = -actuator.biasprm[1]
     spec.compiler.discardvisual = True
-    return spec.compile(), np.array(along)
-
-
-def _pushing_stops(vehicle: Vehicle) -> "dict[str, Stops]":
-    """Returns the bump stops that push back, by their suspension's tendon."""
-    stops = vehicle.stops
-    by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
-    return {tendon: both for tendon, both in by_tendon.items() if both.acts}
-
-
-def _damping(model: mujoco.MjModel) -> Array:
-    """Returns the coefficients of the dampers that `_observed` has, in its order [N s/m]."""
-    return np.concatenate([model.tendon_damping[model.tendon_damping > 0], model.dof_damping[model.dof_damping > 0]])
+    model = spec.compile()
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    return model
 
 
 def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
-    """Returns the sensor values in these states over these roads, shape (T, nsensordata)."""
-    values = np.empty((len(qpos), model.nsensordata))
-    if len(qpos) == 0:
-        return values
-    batch = Batch(model, min(AT_ONCE, len(qpos)), 0)
-    positions, velocities, heights, sensors = (batch.bind(name) for name in ("qpos", "qvel", "mocap_pos", "sensordata"))
-    mocap = mocap_indices(vehicle, model)
+    """Returns energies, lengths and rates of `_Path` in T states over these roads, shape (T, n)."""
+    names = ("energy", "ten_length", "qpos", "actuator_length", "ten_velocity", "qvel", "actuator_velocity")
+    batch = Batch(model, min(AT_ONCE, max(1, len(qpos))), 0)
+    columns, heights, mocap = [batch.bind(name) for name in names], batch.bind("mocap_pos"), mocap_indices(vehicle, model)
+    values = np.empty((len(qpos), sum(one.shape[1] for one in columns)))
     for first in range(0, len(qpos), batch.nsim):
         some = slice(max(0, min(first, len(qpos) - batch.nsim)), min(first + batch.nsim, len(qpos)))
-        positions[:], velocities[:] = qpos[some], qvel[some]
+        columns[2][:], columns[5][:] = qpos[some], qvel[some]
         heights[:, mocap, 2] = roads[some]
         batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
-        values[some] = sensors
+        values[some] = np.concatenate(columns, axis=1)
+    motion = vehicle.kind.motion and vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
+    joints, actuators = ([one(i).name for i in range(n)] for one, n in ((model.joint, model.njnt), (model.actuator, model.nu)))
+    if isinstance(motion, StoredEnergy) and {*motion.joints} <= {*joints}:
+        own = [joints.index(name) for name in motion.joints]
+        values[:, :2] = motion.energy(np.concatenate([qpos[:, own], qvel[:, own]], axis=1), roads)
+    else:
+        loads = [name.startswith(STATIC_LOAD) for name in actuators] * model.actuator_biasprm[:, 0]
+        values[:, 0] -= values[:, 2 + model.ntendon + model.nq :][:, : model.nu] @ loads
     return values
 
 

@@ -161,7 +161,7 @@ class PartBatch(Batch):
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
         pulls, free = np.array(controls[:, self._motors]), np.matvec(J, qacc)[:, self._pulled]
-        if self._response is None or not self._lengths.linear:
+        if self._response is None or not self._lengths.steady:
             columns = []
             for motor in np.arange(self.model.nu)[self._motors]:
                 controls[:, motor] += UNIT
@@ -225,10 +225,11 @@ class _Inputs:
 
 
 class _Lengths:
-    """Lengths of s tendons.
+    """Lengths of s tendons from those at rest.
 
     Attributes:
-        linear: True if they are sums of positions, and the masses are constant.
+        linear: True if they are sums of positions.
+        steady: True if masses are constant, too, so that a force always accelerates them by the same amount.
     """
 
     def __init__(self, model: mujoco.MjModel, tendons: Sequence[int], models: Sequence[mujoco.MjModel]) -> None:
@@ -238,25 +239,25 @@ class _Lengths:
         self._entries = np.concatenate([np.arange(start, start + count) for start, count in zip(starts, rows, strict=True)])
         self._places = np.repeat(np.arange(len(tendons)), rows), model.ten_J_colind[self._entries]
         wraps = [model.wrap_type[one : one + n] for one, n in zip(model.tendon_adr, model.tendon_num, strict=True)]
-        of_joints = all(np.all(wraps[i] == mujoco.mjtWrap.mjWRAP_JOINT) for i in tendons)
-        self.linear = of_joints and bool(np.all(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE))
+        self.linear = all(np.all(wraps[i] == mujoco.mjtWrap.mjWRAP_JOINT) for i in tendons)
+        self.steady = self.linear and bool(np.all(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE))
         if self.linear:
-            data = mujoco.MjData(model)
-            mujoco.mj_forward(model, data)
-            self._constant = self._dense(data.ten_J[None])[0]
-            zeros = np.zeros_like(self._constant)
-            self._both = np.block([[self._constant, zeros], [zeros, self._constant]])
+            data = {id(one): mujoco.MjData(one) for one in models}
+            for one in models:
+                mujoco.mj_forward(one, data[id(one)])
+            self._constant = self._dense(np.array([data[id(one)].ten_J for one in models]))
 
     def __call__(self, bound: _Bound, x: Array) -> tuple[Array, Array]:
         """Returns deflections [m] and velocities [m/s] at the present state x of a batch, shapes (N, s)."""
         if self.linear:
-            both, s = np.matvec(self._both, x[:, : self._velocities.stop]), len(self._tendons)
-            return both[:, :s], both[:, s:]
+            moved = x[:, : self._velocities.stop].reshape(len(x), 2, -1)  # qpos and qvel
+            d, v = np.matvec(self._constant, moved.swapaxes(0, 1))
+            return d, v
         Batch.forward(bound.batch, stage=AT_VELOCITIES)
         return bound.lengths[:, self._tendons] - self._rest, bound.speeds[:, self._tendons]
 
     def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
-        """Returns the Jacobian J of the lengths, shape (N, s, nv) or (s, nv), and J' qvel [m/s2], shape (N, s).
+        """Returns the Jacobian J of the lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
 
         J is that of the batch's last evaluation, which is at its present state. J' is a central difference.
         """

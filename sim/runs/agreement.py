@@ -12,14 +12,14 @@ the integrator, geometry, noise, or an event that ends the linear regime.
 
 One comparison with the linear response remains a check, for loops that are exactly linear until that event: MuJoCo must follow
 the exact response of the sampled loop to within RK4's own error. RK4 is the matrix exponential's Taylor polynomial of degree 4.
-With characteristics the response of the sampled loop is that of RK4, and RK4's own error is that on the linearised vehicle.
+With characteristics the response of the sampled loop is that of RK4, and RK4's own error is estimated (`SteppedRuns.finer`).
 
 A vehicle type that rotates and has no equations of motion is compared to first order: the same road is driven at `SMALL` of its
 height, where the relative difference from the linear response must have fallen by the same factor.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,11 +158,11 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         if not prediction.replayed:
             commands = compare_commands(prediction.controller, road, from_steady(road, physics), commanded, diverged)
     physics, sampled, continuous = (r.until(until) for r in (physics, sampled, continuous))
-    exact, integrated = (r.until(until) for r in prediction.linear_pair)
+    own_errors = _own_errors(prediction, until, rounding)
     cause, signals, coarse = prediction.cause, {}, False
     for name, rounded in rounding.items():
         scale = _scale(sampled if prediction.is_linear else physics, name)
-        own = _difference(integrated, exact, name)
+        own = own_errors[name]
         coarse |= own > COARSEST
         allowed = SLACK * own + ROUNDING + rounded / scale if not cause and prediction.radius <= 1 else math.nan
         signals[name] = SignalAgreement(
@@ -188,15 +188,21 @@ def to_first_order(agreement: Agreement, prediction: Prediction, physics: Respon
         prediction: prediction of the run over the whole road, to which the linear responses are proportional.
         physics: response of MuJoCo over `SMALL` of it.
     """
-    whole = (prediction.sampled, *prediction.linear_pair)
-    physics, sampled, exact, integrated = (one.until(agreement.until) for one in (physics, *whole))
+    physics, sampled = (one.until(agreement.until) for one in (physics, prediction.sampled))
     smaller, rounding = Response(sampled.time, sampled.signals, SMALL * sampled.values), roundings(prediction.vehicle, None)
-    signals = {}
+    own_errors, signals = _own_errors(prediction, agreement.until, agreement.signals), {}
     for name, signal in agreement.signals.items():
         scale = _scale(smaller, name)
-        allowed = SLACK * _difference(integrated, exact, name) + ROUNDING + rounding[name] / scale
+        allowed = SLACK * own_errors[name] + ROUNDING + rounding[name] / scale
         signals[name] = replace(signal, small=_difference(physics, smaller, name), allowed=allowed)
     return replace(agreement, signals=signals)
+
+
+def _own_errors(prediction: Prediction, until: float, names: Iterable[str]) -> dict[str, float]:
+    """Returns RK4's own error of each signal before a time [s], over the peak of the response without that error."""
+    exact = prediction.sampled if prediction.finer is None else prediction.finer
+    integrated, exact = prediction.integrated.until(until), exact.until(until)
+    return {name: _difference(integrated, exact, name) for name in names}
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:

@@ -5,8 +5,9 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 """
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
+from sim.linear.stepped import SteppedRuns, forced, stepped
 from sim.response.response import Response
 from synth.controller.controller import AnyController, Controller, code_of
 from synth.controller.open_loop import LoopModel
@@ -46,6 +48,7 @@ class Prediction:
         loop: the linear loop, or None.
         code_effect: measured difference of exported code from the law, or None without such code.
         replayed: True if the law in Python is not run, and its commands come from a log.
+        finer: `sampled` without RK4's own error, as estimated; None if it has no such error.
     """
 
     input: RoadInput
@@ -58,6 +61,7 @@ class Prediction:
     loop: LoopModel | None = None
     code_effect: "CodeEffect | None" = None
     replayed: bool = False
+    finer: Response | None = None
 
     @property
     def vehicle(self) -> Vehicle:
@@ -89,21 +93,17 @@ class Prediction:
         """Names the response with which a run is compared."""
         return NONLINEAR if self.vehicle.is_curved else LINEAR
 
-    @property
+    @cached_property
     def linearised(self) -> Response | None:
         """The same sampled response with the line at equilibrium of every characteristic; None if nothing differs from lines."""
-        return self.linear_pair[0] if self.vehicle.is_curved and self.is_linear else None
-
-    @cached_property
-    def linear_pair(self) -> tuple[Response, Response]:
-        """The exact linear response of the sampled loop, and the same as RK4 makes it; with characteristics of their lines."""
         if not (self.vehicle.is_curved and self.is_linear):
-            return self.sampled, self.integrated
-        road, controller = RoadInput(self.vehicle.linearised, self.road, self.time), self.controller
-        if isinstance(controller, Controller) and (controller.law.acts or controller.preview is not None):
-            return _sampled_pair(LoopModel(road.vehicle, controller, self.timestep), road)
-        forces = self.requested_force if not isinstance(controller, Controller) else None
-        return _forced_pair(road, forces)
+            return None
+        road = RoadInput(self.vehicle.linearised, self.road, self.time)
+        if isinstance(self.controller, Controller):
+            return sampled_response(LoopModel(road.vehicle, self.controller, self.timestep), road)
+        from sim.linear.forced_response import forced_response
+
+        return forced_response(self.requested_force, road)
 
     @property
     def cause(self) -> str:
@@ -139,12 +139,10 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
-    sampled, integrated = _sampled_pair(loop, road)
     return Prediction(
         input=road,
         controller=loop.controller,
-        sampled=sampled,
-        integrated=integrated,
+        **_sampled(road, partial(sampled_response, loop, road), partial(stepped, [loop.controller], [road])),
         continuous=continuous_response(loop, road),
         radius=loop.radius if small else math.nan,
         loop=loop,
@@ -172,26 +170,19 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
     if isinstance(controller, Controller):
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
-    from sim.linear.forced_response import forced_continuous_response
+    from sim.linear.forced_response import forced_continuous_response, forced_response
 
-    sampled, integrated = _forced_pair(road, commands)
+    responses = _sampled(road, partial(forced_response, commands, road), partial(forced, commands, road))
     continuous = forced_continuous_response(commands, road)
-    return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested)
+    return Prediction(input=road, controller=controller, **responses, continuous=continuous, requested_force=requested)
 
 
-def _sampled_pair(loop: LoopModel, road: RoadInput) -> tuple[Response, Response]:
-    """Returns the sampled response and the same as RK4 makes it: one response if the vehicle has characteristics."""
-    sampled = sampled_response(loop, road)
-    return sampled, sampled if road.vehicle.is_curved else sampled_response(loop, road, taylor4)
-
-
-def _forced_pair(road: RoadInput, forces: Array | None = None) -> tuple[Response, Response]:
-    """Returns the same for forces at the samples [N], shape (T, m); None for no force."""
-    from sim.linear.forced_response import forced_response
-
-    given = np.zeros((len(road.time), len(road.vehicle.linear_model.inputs))) if forces is None else forces
-    sampled = forced_response(given, road)
-    return sampled, sampled if road.vehicle.is_curved else forced_response(given, road, taylor4)
+def _sampled(road: RoadInput, linear: Callable[..., Response], by_steps: Callable[[], SteppedRuns]) -> Mapping[str, Response]:
+    """Returns `sampled` and `integrated` of a prediction, and with characteristics `finer`."""
+    if not road.vehicle.is_curved:
+        return {"sampled": linear(), "integrated": linear(exponential=taylor4)}
+    runs = by_steps()
+    return dict(zip(("sampled", "integrated", "finer"), (one := runs.single, one, runs.finer.run(0)), strict=True))
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:

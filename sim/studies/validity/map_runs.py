@@ -13,7 +13,7 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear, squarable
 from sim.linear.sampled_response import sampled_responses
-from sim.linear.stepped import stepped_responses
+from sim.linear.stepped import stepped
 from sim.physics.run_blocks import runs_at_once
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
@@ -68,7 +68,7 @@ def analysed(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequenc
     for key, some in alike.items():
         met, one = [inputs[i] for i in some], controllers[some[0]]
         if key is None:
-            runs = stepped_responses([controllers[i] for i in some], met)
+            runs = stepped([controllers[i] for i in some], met).response
         else:
             runs = sampled_responses(LoopModel(vehicle, one, met[0].timestep), met)
         responses |= {i: runs.run(k) for k, i in enumerate(some)}
