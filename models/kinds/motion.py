@@ -61,5 +61,8 @@ class StoredEnergy(Protocol):
         ...
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """Returns potential and kinetic energy without the forces beyond the linear ones [J], shape (T, 2)."""
+        """Returns potential and kinetic energy without suspension forces beyond the linear ones [J], shape (T, 2).
+
+        Arguments as for `Motion.read`. The potential energy is relative to any fixed state.
+        """
         ...
