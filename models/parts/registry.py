@@ -24,12 +24,18 @@ def part_class(name: str) -> Any:
     return getattr(importlib.import_module(module), named)
 
 
-def parts_of(vehicle: Any) -> tuple[SuspensionPart, ...]:
-    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
+def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]:
+    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension.
+
+    Args:
+        contacts: True for contacts alone, such as bump stops.
+    """
     placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
-        of_registry = [one for name in PARTS for one in part_class(name).of(vehicle, place)]
-        for part, parameter in (*of_registry, *((one.part, "") for one in vehicle.elements if place.corner in one.corners)):
+        classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
+        own = [one for each in classes for one in each.of(vehicle, place)]
+        own += [(one.part, "") for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
+        for part, parameter in own:
             ratio = place.motion_ratio(vehicle.parameters)
             if (table := kind.table_of(place)) is None:
                 placed.append(SuspensionPart(place, part.at_wheel(ratio), parameter, ratio))

@@ -211,7 +211,11 @@ class Vehicle(Shown):
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
         """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
         strokes = dict[str, dict[str, float]]()
-        for one in self.parts:
+        if not (self.limits.stopped or self.elements):
+            return strokes
+        from models.parts.registry import parts_of
+
+        for one in parts_of(self, contacts=True):
             for limit in one.part.limits():
                 if limit.end == BUMP_STOP:
                     strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
