@@ -165,20 +165,12 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     for number in np.flatnonzero(damping).tolist():
         length = path.length(number)
         lost += length.integral(damping[number] * v**2 for _, v in length.stages)
-<<<<<<< HEAD
-    (start, end, rest), in_parts = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest)), np.zeros(count)
-    for one in vehicle.parts:
-        in_part, taken = _of_part(one, path.length(path.model.tendon(one.tendon).id))
-        in_parts += in_part
-        lost += taken
-=======
     start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
-    for part in _parts(vehicle):
-        length = path.length(path.model.tendon(part.tendon).id)
-        start += part.stored(length.d)
-        end += part.stored(length.after)
-        lost += part.lost(length)
->>>>>>> h3
+    for one in vehicle.parts:
+        length = path.length(path.model.tendon(one.tendon).id)
+        start += _stored(one, length.d)
+        end += _stored(one, length.after)
+        lost += _lost(one, length)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
@@ -193,46 +185,23 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     return Energy(of_road, of_inputs, float(stored[-1]), taken, turnover, residual, least, loads, allowed)
 
 
-def _of_part(one: "SuspensionPart", length: "_Length") -> tuple[Array, Array | float]:
-    """Returns the stored energy of a part at T samples, and what the part takes without storing it over every step [J].
+def _stored(one: "SuspensionPart", deflection: Array) -> Array:
+    """Returns the energy that a part stores at deflections [J], shape (...).
 
-<<<<<<< HEAD
-    Both are without the line of a part whose line is a parameter, which is the vehicle's own spring or damper, and without the
-    force of an input, whose work is counted apart.
+    Without the energy of a line that is a parameter, which is the vehicle's own spring.
     """
-    part, line = one.part, not one.parameter
-    stored = part.stored(length.d) if line else part.stored_beyond(length.d)
-    if part.stores:
-        return stored, 0.0
-    powers = [v * (part.beyond(d, v) + (part.line(d, v) if line else 0.0)) for d, v in length.stages]
-    return stored, length.integral(powers) - np.diff(stored)
-=======
-    Attributes:
-        tendon: name of the suspension's tendon.
-        stored: deflections [m] -> its stored energy [J], 0 of a damper.
-        beyond: deflections [m] and velocities [m/s] -> its force [N]; None if it stores all its work.
+    return one.part.stored_beyond(deflection) if one.parameter else one.part.stored(deflection)
+
+
+def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
+    """Returns what a part takes without storing it over every step [J], shape (T - 1,).
+
+    Without what a line that is a parameter takes, and without the force of an input, whose work is counted apart.
     """
-
-    tendon: str
-    stored: Callable[[Array], Array] = np.zeros_like
-    beyond: Callable[[Array, Array], Array] | None = None
-
-    def lost(self, length: "_Length") -> Array:
-        """Returns what it takes without storing it over every step [J], shape (T - 1,)."""
-        if self.beyond is None:
-            return np.zeros_like(length.after)
-        return length.integral([v * self.beyond(d, v) for d, v in length.stages]) - (
-            self.stored(length.after) - self.stored(length.d[:-1])
-        )
-
-
-def _parts(vehicle: Vehicle) -> list[_Part]:
-    """Returns the forces of the suspensions beyond their linear springs and dampers."""
-    curves = vehicle.fitted
-    parts = [_Part(one.tendon, beyond=one.beyond) if one.damps else _Part(one.tendon, one.curve.work) for one in curves]
-    stops = [(one.tendon, vehicle.stops[one.deflection]) for one in vehicle.kind.suspensions if one.deflection in vehicle.stops]
-    return parts + [_Part(tendon, both.work) for tendon, both in stops if both.acts]
->>>>>>> h3
+    if one.part.stores:
+        return 0.0
+    powers = [v * (one.part.beyond(d, v) + (0.0 if one.parameter else one.part.line(d, v))) for d, v in length.stages]
+    return length.integral(powers) - (_stored(one, length.after) - _stored(one, length.d[:-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,18 +260,8 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     return work, min(least, default=None)
 
 
-<<<<<<< HEAD
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns the power of an adjustable damper beyond the nominal one at the stages of `_Length` [W], shape (T - 1,) each.
-
-    Args:
-        response: signals of physics at T samples.
-        speeds: velocities of the damper itself at the stages [m/s].
-    """
-=======
-def _powers(one: "Adjustable", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
     """Returns the power of an adjustable damper beyond the nominal one at its own speeds at the stages [W], each (T - 1,)."""
->>>>>>> h3
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
