@@ -56,7 +56,8 @@ def suspensions_of(vehicle: Vehicle, acts: Array) -> Suspensions:
         for gain, own in zip(gains, (model.C[row], model.Cr[row], *rates), strict=True):
             gain[i] = own
         push[:, [i]], shown[:, [i]] = force_effects(vehicle, [part.deflection])
-    return Suspensions(*gains, push, shown)
+    travel, travel_of_road, rate, rate_of_road = gains
+    return Suspensions(travel, travel_of_road, rate, rate_of_road, push, shown)
 
 
 class LinearMotion:

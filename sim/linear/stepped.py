@@ -32,7 +32,7 @@ from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import damper_signals, stretching, turns
 from sim.linear.linear_motion import lag_rates, suspensions_of
-from sim.linear.sampled_response import forces_ahead, response_of, with_linear_sides
+from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
 from sim.response.recursion import SHARES, WEIGHTS, recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -301,7 +301,12 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
-    xi, kept, now, waiting = np.zeros((count, n)), np.zeros((count, laws.states)), np.zeros((count, m)), dict[int, tuple]()
+    xi, kept, now, waiting = (
+        np.zeros((count, n)),
+        np.zeros((count, laws.states)),
+        np.zeros((count, m)),
+        dict[int, Sequence[Array]](),
+    )
     lost, by_inputs, unfelt = np.zeros((count, missing.shape[2])), None, np.zeros((count, steps.shown.shape[1]))
     for k in range(samples):
         states[k] = xi

@@ -5,7 +5,7 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -139,10 +139,14 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
+    by_steps = partial(stepped, [loop.controller], [road])
+    sampled, integrated, finer = _sampled(road, partial(sampled_response, loop, road), by_steps)
     return Prediction(
         input=road,
         controller=loop.controller,
-        **_sampled(road, partial(sampled_response, loop, road), partial(stepped, [loop.controller], [road])),
+        sampled=sampled,
+        integrated=integrated,
+        finer=finer,
         continuous=continuous_response(loop, road),
         radius=loop.radius if small else math.nan,
         loop=loop,
@@ -172,17 +176,21 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
-    responses = _sampled(road, partial(forced_response, commands, road), partial(forced, commands, road))
+    by_steps = partial(forced, commands, road)
+    sampled, integrated, finer = _sampled(road, partial(forced_response, commands, road), by_steps)
     continuous = forced_continuous_response(commands, road)
-    return Prediction(input=road, controller=controller, **responses, continuous=continuous, requested_force=requested)
+    return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested, finer=finer)
 
 
-def _sampled(road: RoadInput, linear: Callable[..., Response], by_steps: Callable[[], SteppedRuns]) -> Mapping[str, Response]:
-    """Returns `sampled` and `integrated` of a prediction, and with characteristics `finer`."""
+def _sampled(
+    road: RoadInput, linear: Callable[..., Response], by_steps: Callable[[], SteppedRuns]
+) -> tuple[Response, Response, Response | None]:
+    """Returns `sampled`, `integrated` and `finer` of a prediction."""
     if not road.vehicle.is_curved:
-        return {"sampled": linear(), "integrated": linear(exponential=taylor4)}
+        return linear(), linear(exponential=taylor4), None
     runs = by_steps()
-    return dict(zip(("sampled", "integrated", "finer"), (one := runs.single, one, runs.finer.run(0)), strict=True))
+    response = runs.single
+    return response, response, runs.finer.run(0)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:

@@ -401,7 +401,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     signal, small = signals[worst], ""
     what, curved = run.prediction.reference, run.vehicle.is_curved
     if isinstance(run.controller, Programmed):
-        what = f"the exact {'nonlinear' if curved else 'linear'} response to the forces of the law"
+        what = f"the {'nonlinear' if curved else 'exact linear'} response to the forces of the law"
     size = DIFFERENCE.digits(signal.sampled)
     if signal.small is not None:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"

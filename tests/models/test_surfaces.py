@@ -50,7 +50,7 @@ def bilinear(v, d, force=F, ratio=None):
     return r * (column[i] + (column[i + 1] - column[i]) * (u - V[i]) / (V[i + 1] - V[i]))
 
 
-def integrated(kind, p, time, ratio=None, parts=16):
+def integrated(kind, p, time, ratio=None, parts=4):
     """Deflections of suspensions and tyres from Newton's and Euler's laws, by RK4 at a part of the step, shape (T, 2 c).
 
     The road is held at its middle over every step, as MuJoCo has it; it is under the left wheels of a full car alone.
