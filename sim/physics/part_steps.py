@@ -90,7 +90,9 @@ class PartBatch(Batch):
         pulled = [i for i, name in enumerate(names) if name in motors]
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
-        self._lengths = _Lengths(model, [int(model.tendon(name).id) for name in tendons], models or [model])
+        # A suspension without a tendon in the model has the index -1, the last tendon's; without a motor nothing acts there.
+        indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
+        self._lengths = _Lengths(model, indices, models or [model])
         self._inertance = None if pulls.inertance is None else pulls.inertance[:, self._pulled]
         self._response: Array | None = None
         ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # of the parts of a state: qpos, qvel, act, z
