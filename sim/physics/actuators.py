@@ -4,13 +4,14 @@ A controller works with the suspension velocity linearised at equilibrium. When 
 by geometry.
 """
 
-from collections.abc import Hashable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
+from sim.physics.fitted_pulls import MotionRatios
 
 if TYPE_CHECKING:
     from sim.physics.sensor_readout import Readout
@@ -19,41 +20,6 @@ if TYPE_CHECKING:
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the suspensions' closing velocities, one per input; empty without adjustable dampers."""
     return tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
-
-
-def alike(parts: Iterable[tuple[Any, ...]], size: int) -> list[tuple[Array | slice, list[tuple[Any, ...]]]]:
-    """Returns the parts of each key: their indices in an array of a size, and what they are made of, key and index first."""
-    groups: dict[Hashable, list[tuple[Any, ...]]] = {}
-    for one in sorted(parts, key=lambda part: part[1]):
-        groups.setdefault(one[0], []).append(one)
-    return [
-        (slice(None) if len(some) == size else np.array([one[1] for one in some]), list(zip(*some, strict=True)))
-        for some in groups.values()
-    ]
-
-
-class MotionRatios:
-    """Motion ratios of the suspensions of N vehicles of one kind, over their deflections.
-
-    Attributes:
-        at_rest: the ratios at rest, shape (N, s).
-    """
-
-    def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        suspensions = vehicles[0].kind.suspensions
-        self.at_rest = np.array([[part.motion_ratio(one.parameters) for part in suspensions] for one in vehicles])
-        places = [
-            (n, i, one.ratio_tables.get(part.deflection)) for n, one in enumerate(vehicles) for i, part in enumerate(suspensions)
-        ]
-        tables = [(table.key, n * len(suspensions) + i, table) for n, i, table in places if table is not None]
-        self._alike = [(some[2][0], at) for at, some in alike(tables, self.at_rest.size)]
-
-    def __call__(self, d: Array) -> Array:
-        """Returns the ratios at deflections [m], both of shape (N, s)."""
-        ratios, flat = self.at_rest.copy(), d.ravel()
-        for table, at in self._alike:
-            ratios.reshape(-1)[at] = table(flat[at])
-        return ratios
 
 
 class Actuators:

@@ -78,7 +78,8 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
     if any(model.actuator(i).name.startswith(f"{FITTED}{PART}") for i in range(model.nu)):
-        from sim.physics.part_steps import FittedPulls, PartBatch
+        from sim.physics.fitted_pulls import FittedPulls
+        from sim.physics.part_steps import PartBatch
 
         tendons = [part.tendon for part in vehicles[0].kind.suspensions]
         return PartBatch(model, tendons, FittedPulls(vehicles), len(vehicles), models)
