@@ -193,6 +193,10 @@ class StackedCurves:
     pieces: Pieces
     slope: Array
 
+    def __call__(self, x: Array) -> Array:
+        """Returns the force of each at some arguments [N], shape (...)."""
+        return self.slope * x + self.pieces.force(x)
+
 
 def slope_at_rest(x: Array, force: Array) -> float:
     """Returns the mean of the slopes on both sides of rest, from the points of a curve."""
