@@ -194,7 +194,7 @@ class StackedCurves:
     slope: Array
 
     def __call__(self, x: Array) -> Array:
-        """Returns the force of each at some arguments [N], shape (...)."""
+        """Returns the forces at arguments of each [N], shape (...)."""
         return self.slope * x + self.pieces.force(x)
 
 

@@ -392,6 +392,11 @@ class VehicleKind(Checked):
         rates |= dict.fromkeys((part.ratio for part in parts), 1.0)
         return {name: rate for name, rate in rates.items() if name not in self.ratios}
 
+    def table_of(self, place: Suspension) -> Any:
+        """Returns the `RatioTable` of a suspension whose motion ratio changes with travel, or None."""
+        table = self.ratios.get(place.ratio)
+        return None if table is None or table.straight else table
+
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
         """Returns what motion ratios over travel add to the wheel rates of springs by their preload [N/m], by parameter.
 

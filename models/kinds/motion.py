@@ -1,7 +1,7 @@
 """Interface of exact equations of motion, independent of MuJoCo; nonlinear if the vehicle is."""
 
 from collections.abc import Callable, Mapping
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from models.common.arrays import Array
 
@@ -52,9 +52,8 @@ class Motion(Protocol):
         ...
 
 
-@runtime_checkable
 class StoredEnergy(Protocol):
-    """Energy that a vehicle stores, from its own equations: a part of a `Motion` that a user's vehicle type may omit."""
+    """Energy that a vehicle stores, from its own equations: members of a `Motion` that a user's vehicle type may omit."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -62,5 +61,8 @@ class StoredEnergy(Protocol):
         ...
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """Returns potential and kinetic energy without the forces beyond the linear ones [J], shape (T, 2)."""
+        """Returns potential and kinetic energy without suspension forces beyond the linear ones [J], shape (T, 2).
+
+        Arguments as for `Motion.read`. The potential energy is relative to any fixed state.
+        """
         ...

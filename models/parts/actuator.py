@@ -35,5 +35,5 @@ class Actuator(Part):
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
         """Yields the actuator of a suspension whose motion ratio changes with travel."""
         inputs = vehicle.kind.model(vehicle.parameters).inputs
-        if place.deflection in vehicle.ratio_tables and place.force in inputs and place.force not in vehicle.dampers:
+        if vehicle.kind.table_of(place) is not None and place.force in inputs and place.force not in vehicle.dampers:
             yield cls(), ""

@@ -11,7 +11,7 @@ where h is v except for a damper of two curves (`models.characteristics.adjustab
 setting from its line, plus that of the parallel curve.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -121,7 +121,7 @@ class Adjustable(SettablePart):
         suspensions: Sequence[Suspension],
         parameters: Mapping[str, float],
         curves: Mapping[str, ForceCurve],
-        tables: Collection[str] = (),
+        table_of: Callable[[Suspension], Any],
     ) -> tuple["Adjustable", ...]:
         """Returns the adjustable dampers of a vehicle.
 
@@ -129,7 +129,7 @@ class Adjustable(SettablePart):
             suspensions: suspensions of the vehicle, in the order of its forces.
             parameters: parameters of the vehicle, by name.
             curves: curves, by the parameter that each replaces.
-            tables: deflections of the suspensions whose motion ratio changes with travel.
+            table_of: returns the motion ratio over travel of a suspension, or None.
 
         Raises:
             InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
@@ -155,7 +155,7 @@ class Adjustable(SettablePart):
                     f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
                 )
             standing = _standing(damper, nominal, curves.get(part.damping))
-            ratio = part.motion_ratio(parameters), part.deflection in tables
+            ratio = part.motion_ratio(parameters), table_of(part) is not None
             placed.append(cls(part.force, part.ending, damper, nominal, standing, *ratio))
             _check_takes(part.damping, placed[-1])
             pairs = [

@@ -29,5 +29,5 @@ class Damper(Characteristic):
             return
         if curve is not None:
             yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
-        elif place.deflection in vehicle.ratio_tables and name in vehicle.parameters:
+        elif vehicle.kind.table_of(place) is not None and name in vehicle.parameters:
             yield cls(line(1.0, -FAST, FAST), vehicle.parameters[name]), name

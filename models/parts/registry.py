@@ -4,7 +4,7 @@ import importlib
 from functools import cache
 from typing import Any
 
-from models.parts.part import Part, SuspensionPart
+from models.parts.part import SuspensionPart
 from models.parts.ratio import AtRatio
 
 PARTS = {  # name -> module and class
@@ -24,26 +24,23 @@ def part_class(name: str) -> Any:
     return getattr(importlib.import_module(module), named)
 
 
-def parts_of(vehicle: Any) -> tuple[SuspensionPart, ...]:
-    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
-    placed, kind, tables = list[SuspensionPart](), vehicle.kind, vehicle.ratio_tables
-    loads = kind.static_loads(vehicle.parameters) if tables else {}
+def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]:
+    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension.
+
+    Args:
+        contacts: True for contacts alone, such as bump stops.
+    """
+    placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
-        ratio = place.motion_ratio(vehicle.parameters)
-        for name in PARTS:
-            for part, parameter in part_class(name).of(vehicle, place):
-                placed.append(
-                    SuspensionPart(place, _at_wheel(part, place, kind, tables, ratio, loads, parameter), parameter, ratio)
-                )
-        for element in vehicle.elements:
-            if place.corner in element.corners:
-                placed.append(SuspensionPart(place, _at_wheel(element.part, place, kind, tables, ratio, loads, ""), "", ratio))
+        classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
+        own = [one for each in classes for one in each.of(vehicle, place)]
+        own += [(one.part, "") for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
+        for part, parameter in own:
+            ratio = place.motion_ratio(vehicle.parameters)
+            if (table := kind.table_of(place)) is None:
+                placed.append(SuspensionPart(place, part.at_wheel(ratio), parameter, ratio))
+                continue
+            carries = bool(parameter) and parameter == place.stiffness
+            load = kind.static_loads(vehicle.parameters)[place.deflection] if carries else 0.0
+            placed.append(SuspensionPart(place, AtRatio(part, table, ratio / table.at_rest, load), parameter, ratio))
     return tuple(placed)
-
-
-def _at_wheel(part: Part, place: Any, kind: Any, tables: Any, ratio: float, loads: Any, parameter: str) -> Part:
-    """Returns a part of a suspension at its wheel."""
-    if place.deflection not in tables:
-        return part.at_wheel(ratio)
-    carries, table = bool(parameter) and parameter == place.stiffness, kind.ratios[place.ratio]  # the same object in all samples
-    return AtRatio(part, table, ratio / table.at_rest, loads[place.deflection] if carries else 0.0)

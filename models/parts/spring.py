@@ -36,5 +36,6 @@ class Spring(Characteristic):
         name, curve = place.stiffness, vehicle.curves.get(place.stiffness)
         if curve is not None:
             yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
-        elif (table := vehicle.ratio_tables.get(place.deflection)) is not None and name in vehicle.parameters:
-            yield cls(line(1.0, *table.travel(table.x[[0, -1]]).tolist()), vehicle.parameters[name]), name
+        elif (table := vehicle.kind.table_of(place)) is not None and name in vehicle.parameters:
+            ends = place.motion_ratio(vehicle.parameters) / table.at_rest * table.travel(table.x[[0, -1]])
+            yield cls(line(1.0, *ends.tolist()), vehicle.parameters[name]), name

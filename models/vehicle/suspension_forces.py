@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
 from models.parts.part import Stack, alike
 from models.vehicle.vehicle import Vehicle
 
@@ -92,3 +93,35 @@ def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
     if z is None or kept.stop == kept.start:
         return None
     return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
+
+
+def wheel_model(vehicle: Vehicle) -> LinearModel:
+    """Returns the linear model of a vehicle without `[parts]`, whose inputs are forces at the wheels: those of actuators times
+    their motion ratios.
+    """
+    return vehicle.kind.model(vehicle.kind.at_wheels(vehicle.parameters))
+
+
+def force_effects(vehicle: Vehicle, deflections: Sequence[str]) -> tuple[Array, Array]:
+    """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
+
+    For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
+    """
+    model, kind, parameters = wheel_model(vehicle), vehicle.kind, vehicle.kind.at_wheels(vehicle.parameters)
+    suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
+    push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
+    for j, name in enumerate(deflections):
+        force = suspensions[name].force
+        if force in model.inputs:
+            i = model.inputs.index(force)
+            push[:, j], outputs[:, j] = -model.B[:, i], -model.D[:, i]
+            continue
+        parameter = suspensions[name].stiffness
+        stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
+        more = kind.model({**parameters, parameter: 2 * parameters[parameter]})
+        by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
+        push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
+        outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
+    # The outputs of actuator forces do not include curves.
+    outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
+    return push, outputs

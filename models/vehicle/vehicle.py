@@ -2,7 +2,7 @@
 
 import importlib
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -50,7 +50,6 @@ from models.vehicle.sections import (
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
-    from models.characteristics.ratio_table import RatioTable
     from models.laws.filter import Filter
     from models.parts.element import Element
     from models.parts.part import SettablePart, SuspensionPart
@@ -212,7 +211,11 @@ class Vehicle(Shown):
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
         """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
         strokes = dict[str, dict[str, float]]()
-        for one in self.parts:
+        if not (self.limits.stopped or self.elements):
+            return strokes
+        from models.parts.registry import parts_of
+
+        for one in parts_of(self, contacts=True):
             for limit in one.part.limits():
                 if limit.end == BUMP_STOP:
                     strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
@@ -222,30 +225,6 @@ class Vehicle(Shown):
     def is_curved(self) -> bool:
         """True if a force of a suspension differs from its line before a contact."""
         return any(one.part.bent and not one.part.contact for one in self.parts)
-
-    def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
-        """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
-
-        For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
-        """
-        model, kind, parameters = self.wheel_model, self.kind, self.kind.at_wheels(self.parameters)
-        suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
-        push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
-        for j, name in enumerate(deflections):
-            force = suspensions[name].force
-            if force in model.inputs:
-                i = model.inputs.index(force)
-                push[:, j], outputs[:, j] = -model.B[:, i], -model.D[:, i]
-                continue
-            parameter = suspensions[name].stiffness
-            stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
-            more = kind.model({**parameters, parameter: 2 * parameters[parameter]})
-            by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
-            push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
-            outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
-        # The outputs of actuator forces do not include curves.
-        outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
-        return push, outputs
 
     @property
     def linearised(self) -> "Vehicle":
@@ -266,12 +245,9 @@ class Vehicle(Shown):
             return model
         names, lines = [one.deflection for one in more], [one.part.line for one in more]
         stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
-        return model.with_lines(model.rows(names)[0], *self.pulls_on(names), stiffness, damping)
+        from models.vehicle.suspension_forces import force_effects
 
-    @property
-    def wheel_model(self) -> LinearModel:
-        """Linear model whose inputs are forces at the wheels: those of actuators times their motion ratios."""
-        return self.kind.model(self.kind.at_wheels(self.parameters))
+        return model.with_lines(model.rows(names)[0], *force_effects(self, names), stiffness, damping)
 
     @cached_property
     def ride_points(self) -> RidePoints:
@@ -283,51 +259,17 @@ class Vehicle(Shown):
         """Motion ratio of every force, in the order of the linear model's inputs."""
         return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
-    @cached_property
-    def ratio_tables(self) -> "Mapping[str, RatioTable]":
-        """Motion ratios that change with travel, by deflection, scaled to its parameters; empty for linear analysis."""
-        parts = [(part, self.kind.ratios[part.ratio]) for part in self.kind.suspensions if part.ratio in self.kind.ratios]
-        return {part.deflection: one.scaled(part.motion_ratio(self.parameters)) for part, one in parts if not one.straight}
-
-    def ratio_at(self, force: str, deflection: Array) -> Array:
-        """Returns the motion ratio of a force at deflections of its suspension [m], shape (...)."""
-        table = self.ratio_tables.get(self.kind.pushed(force))
-        return np.full(np.shape(deflection), self.motion_ratios[force]) if table is None else table(deflection)
-
-    def ratios_along(self, signal: Callable[[str], Array]) -> Array:
-        """Returns the motion ratio of every force, shape (T, m), or (m,) if none changes with travel.
-
-        Args:
-            signal: name -> the deflections [m] at T samples.
-        """
-        if not self.ratio_tables:
-            return np.array([*self.motion_ratios.values()])
-        along, tables = {name: self.kind.pushed(name) for name in self.motion_ratios}, self.ratio_tables
-        at = [tables[part](signal(part)) if part in tables else self.motion_ratios[name] for name, part in along.items()]
-        return np.stack(np.broadcast_arrays(*at), axis=-1)
-
-    @property
-    def ratio_notes(self) -> list[str]:
-        """The rates at the wheel of every motion ratio, and the curves that approximate one over travel; empty without any."""
-        wheel, notes = self.kind.at_wheels(self.parameters), dict[str, None]()
-        for part in self.kind.suspensions:
-            if part.ratio in self.parameters and wheel.get(part.ratio) != self.parameters[part.ratio]:
-                units = ((part.stiffness, "N/m"), (part.damping, "N s/m"))
-                rates = " and ".join(f"{wheel[name]:g} {unit}" for name, unit in units if name in wheel)
-                where = " at equilibrium" if part.ratio in self.kind.ratios else ""
-                notes[f"{part.ratio} {self.parameters[part.ratio]:g}{where}: {rates} at the wheel"] = None
-        springs = [one for one in self.fitted if not one.damps] if self.kind.ratios else []
-        return list(notes | {f"{one.parameter}: {one.curve.words}": None for one in springs})
-
     @property
     def shown(self) -> Document:
         """Vehicle type and file, then parameters, weights and controllers."""
+        from models.vehicle.motion_ratios import ratio_notes
+
         units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
         return facts(
             f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}",
             {
                 "parameters": ", ".join(f"{name} {value:g} {units[name]}".rstrip() for name, value in self.parameters.items()),
-                **({"with motion ratios": "; ".join(notes)} if (notes := self.ratio_notes) else {}),
+                **({"with motion ratios": "; ".join(notes)} if (notes := ratio_notes(self)) else {}),
                 "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
                 "controllers": ", ".join(("passive", "state", *self.controllers)),
             },
@@ -351,7 +293,7 @@ class Vehicle(Shown):
         from models.parts.registry import part_class
 
         placed = part_class("adjustable damper").in_vehicle
-        return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.ratio_tables)
+        return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.kind.table_of)
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":

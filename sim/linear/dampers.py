@@ -4,6 +4,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.parts.damper_range import range_of
+from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -43,11 +44,12 @@ def turns(vehicle: Vehicle, travels: Array) -> Array | float:
     Args:
         travels: deflections of the suspensions [m], shape (..., s).
     """
-    if not vehicle.ratio_tables:
+    ratios = MotionRatios([vehicle])
+    if not ratios.over_travel:
         return 1.0
     parts = [part.deflection for part in vehicle.kind.suspensions]
-    at = {force: travels[..., parts.index(vehicle.kind.pushed(force))] for force in vehicle.linear_model.inputs}
-    return np.stack([vehicle.ratio_at(force, d) / vehicle.motion_ratios[force] for force, d in at.items()], axis=-1)
+    at = {force: travels[..., [parts.index(vehicle.kind.pushed(force))]] for force in vehicle.linear_model.inputs}
+    return np.concatenate([ratios.turn(force, d) for force, d in at.items()], axis=-1)
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:

@@ -27,6 +27,7 @@ from models.laws.linear import LinearLaw
 from models.parts.damper_range import range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import damper_signals, stretching, turns
@@ -51,7 +52,7 @@ class Stepper:
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
         along, model = suspensions_of(vehicle, self._forces.acts), self.model
         (n, m), s = model.B.shape, along.shown.shape[1]
-        self._n, self._s, self.shown, felt = n, s, along.shown, bool(vehicle.ratio_tables or vehicle.dampers)
+        self._n, self._s, self.shown, felt = n, s, along.shown, bool(vehicle.dampers or MotionRatios([vehicle]).over_travel)
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
         rows = np.pad(np.vstack([along.travel, along.rate]), ((0, 0), (0, n - along.travel.shape[1])))
         of_road = np.vstack([along.travel_of_road, along.rate_of_road]) + rows @ model.jump

@@ -4,12 +4,13 @@ A controller works with the suspension velocity linearised at equilibrium. When 
 by geometry.
 """
 
-from collections.abc import Hashable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -19,41 +20,6 @@ if TYPE_CHECKING:
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the suspensions' closing velocities, one per input; empty without adjustable dampers."""
     return tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
-
-
-def alike(parts: Iterable[tuple[Any, ...]], size: int) -> list[tuple[Array | slice, list[tuple[Any, ...]]]]:
-    """Returns the parts of each key: their indices in an array of a size, and what they are made of, key and index first."""
-    groups: dict[Hashable, list[tuple[Any, ...]]] = {}
-    for one in sorted(parts, key=lambda part: part[1]):
-        groups.setdefault(one[0], []).append(one)
-    return [
-        (slice(None) if len(some) == size else np.array([one[1] for one in some]), list(zip(*some, strict=True)))
-        for some in groups.values()
-    ]
-
-
-class MotionRatios:
-    """Motion ratios of the suspensions of N vehicles of one kind, over their deflections.
-
-    Attributes:
-        at_rest: the ratios at rest, shape (N, s).
-    """
-
-    def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        suspensions = vehicles[0].kind.suspensions
-        self.at_rest = np.array([[part.motion_ratio(one.parameters) for part in suspensions] for one in vehicles])
-        places = [
-            (n, i, one.ratio_tables.get(part.deflection)) for n, one in enumerate(vehicles) for i, part in enumerate(suspensions)
-        ]
-        tables = [(table.key, n * len(suspensions) + i, table) for n, i, table in places if table is not None]
-        self._alike = [(some[2][0], at) for at, some in alike(tables, self.at_rest.size)]
-
-    def __call__(self, d: Array) -> Array:
-        """Returns the ratios at deflections [m], both of shape (N, s)."""
-        ratios, flat = self.at_rest.copy(), d.ravel()
-        for table, at in self._alike:
-            ratios.reshape(-1)[at] = table(flat[at])
-        return ratios
 
 
 class Actuators:
@@ -78,7 +44,8 @@ class Actuators:
         self.vehicles, self.forces, self._lagging = vehicles, len(first.linear_model.inputs), readout.lagging
         self.size, self.lags, self._of, self._ramps = self.forces, False, None, np.zeros(0, dtype=int)
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
-        self.over_travel = bool(first.dampers and first.ratio_tables)
+        self._ratios = MotionRatios(vehicles)
+        self.over_travel = bool(first.dampers and self._ratios.over_travel)
         if not first.dampers:
             return
         from models.parts.damper_range import range_of
@@ -92,9 +59,10 @@ class Actuators:
         self.closing, self.at_rest = np.zeros((self.forces, readout.of_state.shape[1])), self._of.at_rest
         self.closing[adjustable, -speeds:] = -readout.stretching[adjustable]
         self.lags = bool(np.any(readout.lagging[adjustable] >= 0))
-        self._ratios, forces = MotionRatios(vehicles), [part.force for part in first.kind.suspensions]
-        self._suspended = [i for i, name in enumerate(first.linear_model.inputs) if name in forces]
-        self._suspensions = [forces.index(first.linear_model.inputs[i]) for i in self._suspended]
+        suspended = [part.force for part in first.kind.suspensions]
+        self._turning = [
+            (j, name, suspended.index(name)) for j, name in enumerate(first.linear_model.inputs) if name in suspended
+        ]
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
         counts = [0 if one.damper.pair is None or one.over_travel else len(one.damper.pair.ramps) for one in first.adjustable]
         self._ramps = np.repeat([first.linear_model.inputs.index(one.force) for one in first.adjustable], counts)
@@ -105,7 +73,8 @@ class Actuators:
         Args:
             deflections: of all suspensions [m], shape (N, s).
         """
-        closing[:, self._suspended] *= (self._ratios(deflections) / self._ratios.at_rest)[:, self._suspensions]
+        for j, name, i in self._turning:
+            closing[:, j] *= self._ratios.turn(name, deflections[:, i])
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).
@@ -144,8 +113,6 @@ class Actuators:
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
             if one.damper.pair is not None or one.over_travel:  # its force is that of several actuators
                 deflection, velocity = parts[one.force]
-                for n, (other, d, v) in enumerate(
-                    zip(self.vehicles, values[:, deflection].T, values[:, names.index(velocity)].T, strict=True)
-                ):
-                    shaped = other.adjustable[i].shape(other.ratio_at(one.force, d) * v)
-                    values[:, names.index(one.force), n] = -beyond[:, n] * shaped
+                speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]
+                for n, (other, v) in enumerate(zip(self.vehicles, speeds.T, strict=True)):
+                    values[:, names.index(one.force), n] = -beyond[:, n] * other.adjustable[i].shape(v)

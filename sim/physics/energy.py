@@ -34,7 +34,7 @@ energy. Lifting the weight is excluded: it would hide small residuals.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -45,11 +45,11 @@ from models.common.printed import difference
 from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
-from models.kinds.motion import StoredEnergy
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
+from models.vehicle.motion_ratios import ratio_at, travel_at
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging
@@ -152,55 +152,56 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     """
     vehicle, count = road.vehicle, int(np.searchsorted(road.time, min(until, runs.diverged[index])))
     if count < 2:
-        least, loads = 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None
-        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, least, loads)
+        return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None)
     path = _Path(runs.qpos[index, :count], runs.qvel[index, :count], road)
     response = runs.response.run(index).samples(slice(count))
     work, least = _by_inputs(vehicle, path, response, runs.requested_force[index, :count])
-    by_loads = np.zeros(count - 1)[:, None]
+    by_loads = np.zeros((count - 1, 1))
     if road.loaded:  # loads are held and act along joints, so their work is exact
         moved = np.diff(runs.qpos[index, :count, pushed_dofs(vehicle, path.model)].T, axis=0)
         by_loads = road.held_loads[: count - 1] * moved
     by_road, lost = _by_tyres(path, road)
     damping = np.concatenate([path.model.tendon_damping, path.model.dof_damping])
-    for number in np.flatnonzero(damping):
+    for number in np.flatnonzero(damping).tolist():
         length = path.length(number)
         lost += length.integral(damping[number] * v**2 for _, v in length.stages)
-    (start, end, rest), in_parts = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest)), np.zeros(count)
+    start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
     for one in vehicle.parts:
-        in_part, taken = _of_part(one, path.length(path.model.tendon(one.tendon).id))
-        in_parts += in_part
-        lost += taken
+        length = path.length(path.model.tendon(one.tendon).id)
+        start += _stored(one, length.d)
+        end += _stored(one, length.after)
+        lost += _lost(one, length)
 
-    by_road = _summed(start[1:] - end + by_road) + start[0] - rest
-    stored, lost = start + in_parts - rest, _summed(lost)
-    turnover = float(lost[-1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
+    steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
+    sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
+    turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
     scale = max(turnover, ROUNDING * abs(float(rest))) or 1.0
-    works = [by_road, _summed(work.sum(axis=1)), _summed(by_loads.sum(axis=1))]
-    residual = float(np.max(np.abs(sum(works) - stored - lost))) / scale
-    rounding = float(np.finfo(float).eps) * count * float(np.abs(path.starts[:, :2]).max()) / scale
-    allowed = _allowed(vehicle, response, path.h, rounding)
-    did, pushed, loads, changed, taken = (float(sums[-1]) for sums in (*works, stored, lost))
-    return Energy(did, pushed, changed, taken, turnover, residual, least, loads if road.loaded else None, allowed)
+    residual, allowed = float(np.max(np.abs(sums[:3].sum(axis=0) - sums[3] - stored))) / scale, BALANCED
+    if not _has_kinks(vehicle, response):
+        rounding = float(np.finfo(float).eps) * count * float(np.abs(path.starts[:, :2]).max())
+        allowed = min(BALANCED, max(SMALLEST, SMOOTH * (path.h * _fastest(vehicle)) ** 4) + rounding / scale)
+    of_road, of_inputs, of_loads, taken = sums[:, -1].tolist()
+    loads = of_loads if road.loaded else None
+    return Energy(of_road, of_inputs, float(stored[-1]), taken, turnover, residual, least, loads, allowed)
 
 
-def _summed(each: Array) -> Array:
-    """Returns the sums of what every step adds, from 0, shape (T,)."""
-    return np.concatenate([[0.0], np.cumsum(each)])
+def _stored(one: "SuspensionPart", deflection: Array) -> Array:
+    """Returns the energy that a part stores at deflections [J], shape (...).
 
-
-def _of_part(one: "SuspensionPart", length: "_Length") -> tuple[Array, Array | float]:
-    """Returns the stored energy of a part at T samples, and what the part takes without storing it over every step [J].
-
-    Both are without the line of a part whose line is a parameter, which is the vehicle's own spring or damper, and without the
-    force of an input, whose work is counted apart.
+    Without the energy of a line that is a parameter, which is the vehicle's own spring.
     """
-    part, line = one.part, not one.parameter
-    stored = part.stored(length.d) if line else part.stored_beyond(length.d)
-    if part.stores:
-        return stored, 0.0
-    powers = [v * (part.beyond(d, v) + (part.line(d, v) if line else 0.0)) for d, v in length.stages]
-    return stored, length.integral(powers) - np.diff(stored)
+    return one.part.stored_beyond(deflection) if one.parameter else one.part.stored(deflection)
+
+
+def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
+    """Returns what a part takes without storing it over every step [J], shape (T - 1,).
+
+    Without what a line that is a parameter takes, and without the force of an input, whose work is counted apart.
+    """
+    if one.part.stores:
+        return 0.0
+    powers = [v * (one.part.beyond(d, v) + (0.0 if one.parameter else one.part.line(d, v))) for d, v in length.stages]
+    return length.integral(powers) - (_stored(one, length.after) - _stored(one, length.d[:-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +244,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     forces = np.stack([response[name] for name in inputs], axis=-1)
     acting, work = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:])
     for j, name in enumerate(inputs):
-        length, table = path.stroke(vehicle, name), vehicle.ratio_tables.get(vehicle.kind.pushed(name))
-        ratio = table or partial(np.full_like, fill_value=vehicle.motion_ratios[name])
+        length, ratio = path.stroke(vehicle, name), partial(ratio_at, vehicle, name)
         speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
         if name in dampers:
             work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
@@ -252,7 +252,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
             power = (dampers[name].ramp(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
         elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
-            travel = table.travel if table else partial(np.multiply, vehicle.motion_ratios[name])
+            travel = partial(travel_at, vehicle, name)
             work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
         else:
             middle = (inner[0] + inner[1]) / 2
@@ -261,12 +261,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
-    """Returns the power of an adjustable damper beyond the nominal one at the stages of `_Length` [W], shape (T - 1,) each.
-
-    Args:
-        response: signals of physics at T samples.
-        speeds: velocities of the damper itself at the stages [m/s].
-    """
+    """Returns the power of an adjustable damper beyond the nominal one at its own speeds at the stages [W], each (T - 1,)."""
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
@@ -277,8 +272,8 @@ def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h:
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
     """Returns the work of the road beyond that on the tyres' springs, and what tyres dissipate, over every step [J], (T - 1,).
 
-    The rest R of a damping tyre's force acts between the road, at its velocity w, and the hub, at l'. The road's power is R w,
-    that on the hub R l', and the difference is lost.
+    The rest R of a damping tyre's force acts between road and hub. The road's power is R w at its velocity w, that on the hub
+    R l', and the difference is lost.
     """
     model, by_road, lost = path.model, np.zeros(len(path.ends)), np.zeros(len(path.ends))
     for wheel, i in zip(*damped_tyres(road.vehicle, model), strict=True):
@@ -289,13 +284,6 @@ def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:
         by_road += length.integral(force * w for force in beyond)
         lost += length.integral(force * closing for force, (_, closing) in zip(beyond, near, strict=True))
     return by_road, lost
-
-
-def _allowed(vehicle: Vehicle, response: Response, h: float, rounding: float) -> float:
-    """Returns the residual that the integrator explains, see `Energy.allowed`; `rounding` is relative to the turnover, too."""
-    if _has_kinks(vehicle, response):
-        return BALANCED
-    return min(BALANCED, max(SMALLEST, SMOOTH * (h * _fastest(vehicle)) ** 4) + rounding)
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
@@ -325,16 +313,16 @@ class _Path:
         model: the vehicle's compiled model.
         h: duration of a step [s].
         starts: potential and kinetic energy, then lengths, then their rates, over the road of the step that begins, shape (T, n).
-        ends: the same at the end of every step, over the road of this step, shape (T - 1, n).
-        rest: the same at rest, shape (n,).
+        ends, rest: the same at the end of every step, over the road of this step, shape (T - 1, n), and at rest, shape (n,).
     """
 
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
         """Evaluates T states, each over the road of the step that begins and, if the road moved, that of the step that ends."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
         self.model, moved = _observed(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
-        states = (np.concatenate([one, one[1 + moved], np.zeros_like(one[:1])]) for one in (qpos, qvel))
-        seen = _look(road.vehicle, self.model, *states, np.concatenate([midway, midway[moved], np.zeros_like(midway[:1])]))
+        again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
+        q, v, roads = (np.concatenate([one, other, np.zeros_like(one[:1])]) for one, other in again)
+        seen = _look(road.vehicle, self.model, q, v, roads)
         self.starts, self.ends, self.rest = seen[: len(qpos)], seen[1 : len(qpos)].copy(), seen[-1]
         self.ends[moved] = seen[len(qpos) : -1]
 
@@ -345,9 +333,8 @@ class _Path:
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
         """Returns the deflection along which an input acts: that of its suspension, else that of its actuator."""
-        model, kind = self.model, mujoco.mjtSensor
-        firsts = {int(kind.mjSENS_TENDONPOS): 0, int(kind.mjSENS_JOINTPOS): model.ntendon}
-        i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.pushed(force))
+        model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.pushed(force))
+        firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
         if first is not None:
             return self.length(first + model.sensor_objid[i], model.sensor_user[i, 0])
@@ -380,9 +367,9 @@ def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roa
         heights[:, mocap, 2] = roads[some]
         batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
         values[some] = np.concatenate(columns, axis=1)
-    motion = vehicle.kind.motion and vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
+    motion: Any = vehicle.kind.motion and vehicle.kind.motion(vehicle.kind.at_wheels(vehicle.parameters))
     joints, actuators = ([one(i).name for i in range(n)] for one, n in ((model.joint, model.njnt), (model.actuator, model.nu)))
-    if isinstance(motion, StoredEnergy) and {*motion.joints} <= {*joints}:
+    if hasattr(motion, "energy") and {*motion.joints} <= {*joints}:
         own = [joints.index(name) for name in motion.joints]
         values[:, :2] = motion.energy(np.concatenate([qpos[:, own], qvel[:, own]], axis=1), roads)
     else:

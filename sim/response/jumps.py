@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.vehicle import Vehicle
 
 
@@ -27,8 +28,8 @@ class Jumps:
         rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
         along = {force: vehicle.kind.pushed(force) for force in forces}
-        self.along = {force: index[name] for force, name in along.items() if name in vehicle.ratio_tables}
-        self.vehicles = vehicles
+        self.ratios = MotionRatios(vehicles)
+        self.along = {force: index[along[force]] for force in self.ratios.over_travel}
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
@@ -62,8 +63,7 @@ class Jumps:
         """Returns the motion ratio of a force over that at rest, shape (N, B), or 1 if it does not change."""
         if force not in self.along:
             return 1.0
-        travels = zip(self.vehicles, values[:, self.along[force]].T, strict=True)
-        return np.stack([one.ratio_at(force, d) / one.motion_ratios[force] for one, d in travels])
+        return self.ratios.turn(force, values[:, self.along[force]]).T
 
     def _jump(self, force: str, values: Array, ratio: Array | float) -> Array:
         """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""

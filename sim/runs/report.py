@@ -17,6 +17,7 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
+from models.vehicle.motion_ratios import ratio_notes
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import JOULES, Energy
 from sim.response.regime import (
@@ -190,7 +191,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         controller.text,
         *([claims(controller), certificate.own.words] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
-        *vehicle.ratio_notes,
+        *ratio_notes(vehicle),
         *filter_lines(vehicle),
         *growth_lines(vehicle, controller),
         *controller_remarks(controller),

@@ -21,6 +21,7 @@ from models.common.arrays import Array
 from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
+from models.vehicle.motion_ratios import ratio_at
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.linear_motion import LinearMotion, lag_rates
@@ -218,7 +219,7 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     shown |= dict(zip(vehicle.linear_model.inputs, given.T, strict=True))
     for one in vehicle.adjustable:
         coefficient, i = shown[one.force], places[one.force]
-        shown[one.force] = -coefficient * one.shape(vehicle.ratio_at(one.force, travels[:, i]) * speeds[:, i])
+        shown[one.force] = -coefficient * one.shape(ratio_at(vehicle, one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))

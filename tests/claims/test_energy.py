@@ -6,14 +6,21 @@ import json
 import numpy as np
 import pytest
 
+from models.kinds.rigid_motion import RigidMotion
 from models.roads.road import Bump
+from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.physics.energy import Energy
 from sim.response.response import Response
 from sim.runs.run import run_controllers, sample_times
+from sim.runs.steps import motion_of
 from synth.vehicle.designer import design
+from tests.claims.test_verdict import without_motion
+from tests.models.test_vehicle_options import LINKS, TYRES, with_parameters, without_springs
 from tests.support.analysed import energy, simulate
+from tests.support.commands import ROOT
+from tests.support.faults import built_with, places, scaled
 from tests.support.pages import hopper
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
@@ -120,6 +127,86 @@ def test_hidden_forces_show(tmp_path, paper, designer, fault):
     """A force that is neither weight, spring, damper nor actuator is left over; without one the same run balances, as above."""
     road, vehicle = Bump(), hidden(tmp_path, paper, FAULTS[fault])
     assert not energy(vehicle, run(vehicle, designer.design("I"), road, 1e-3), 0, road).balances
+
+
+PAYLOAD = "\n[payload]\nmass = 100.0\n"
+KINDS = {kind: f"{TYRES[kind]}\n{LINKS.get(kind, '')}" for kind in ("quarter_car", "half_car", "full_car")}  # and their options
+
+
+def added_body(spec):
+    """A fault: a mass on the body, beyond its own."""
+    spec.body("sprung").add_body(pos=[0.5, 0.0, 0.2], mass=10.0, inertia=[0.1] * 3, explicitinertial=True)
+
+
+def rotor(spec):
+    """A fault: a tendon of the suspension turns a rotor, which couples body and hub."""
+    next(tendon for tendon in spec.tendons if tendon.name.startswith("suspension")).armature = 1.0
+
+
+@pytest.mark.parametrize("options", [False, True], ids=["plain", "options"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_mass_or_spring_of_the_compiled_model_shows(kind, options):
+    """A mass, an inertia, a stiffness of the compiled model alone that is 2 % off, or a product term, does not balance.
+
+    The options are tyre damping, roll and pitch centres, anti-roll bars and a payload. The inertia about an axis about which the
+    body does not turn has no effect, and that about the vertical axis hardly any.
+    """
+    vehicle = parse_vehicle(with_parameters(kind, KINDS[kind]).text + PAYLOAD) if options else read_vehicle(kind)
+    road, time = Bump(0.03, track="left" if kind == "full_car" else "both"), np.arange(201) * 1e-3
+    turns = {"quarter_car": (), "half_car": (1,), "full_car": (0, 1)}[kind]
+    numbers = [place for place in places(build_spec(vehicle, 1e-3)) if place[2] in ("mass", "stiffness")]
+    faults = [scaled(place, 0.02) for place in [*numbers, *(("body", "sprung", "inertia", axis) for axis in turns)]]
+
+    def found(fault):
+        with built_with(fault):
+            return energy(vehicle, simulate([vehicle], [design(vehicle, "passive")], [road], time), 0, road)
+
+    assert found(lambda spec: None).balances
+    assert len(faults) >= {"quarter_car": 3, "half_car": 6, "full_car": 11}[kind]
+    for fault in (*faults, added_body, rotor):
+        assert "DOES NOT BALANCE" in found(fault).shown.title
+
+
+@pytest.mark.parametrize("make", [with_parameters, without_springs], ids=["options", "without springs"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_energy_of_the_equations_is_that_of_mujoco(kind, make):
+    """Without equations of motion a vehicle type has the energy of its compiled model, and every energy is the same."""
+    vehicle = make(kind, KINDS[kind]) if make is with_parameters else make(kind)
+    own, road, time = without_motion(vehicle), Bump(0.2, track="left" if kind == "full_car" else "both"), np.arange(301) * 1e-3
+    runs = simulate([vehicle], [design(vehicle, "passive")], [road], time)
+    one, other = (dataclasses.asdict(energy(each, runs, 0, road)) for each in (vehicle, own))
+    for name in ("road", "actuators", "stored", "dissipated", "turnover"):
+        assert one[name] == pytest.approx(other[name], rel=0, abs=1e-11 * one["turnover"]), name
+    assert one["residual"] == pytest.approx(other["residual"], abs=1e-11)
+
+
+def test_stops_on_the_road_balance():
+    """Bump stops of a vehicle type without wheels stand on the road, whose work on them counts."""
+    file = ROOT / "models/gallery/simulink_half_car/car.toml"
+    text = f"{file.read_text()}\n[limits]\nsuspension_stroke = 0.01\nstop_stiffness = 1e5\n"
+    vehicle, road = parse_vehicle(text, folder=file.parent), Bump(0.05)
+    found = energy(vehicle, run(vehicle, design(vehicle, "passive"), road, 1e-3, 0.5), 0, road)
+    assert found.residual < 1e-5  # measured 7e-7; without the work on stops 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_energy_of_the_equations_changes_by_the_power_of_their_forces(kind):
+    """However far the body turns, whatever tyre is in the air: by actuators' power less that of dampers, without MuJoCo."""
+    for lines in ("", LINKS.get(kind, "")):
+        vehicle = with_parameters(kind, lines)
+        motion, rng, c = motion_of(vehicle), np.random.default_rng(0), len(vehicle.kind.wheels)
+        assert isinstance(motion, RigidMotion)
+        state, (heights, u) = rng.uniform(-0.3, 0.3, (50, 2 * len(motion.joints))), rng.uniform(-0.1, 0.1, (2, 50, c))
+        rate = motion.rate(state, heights, 1e5 * u, lambda d, v: np.zeros_like(d), np.zeros((50, 0)))
+
+        def slope(of, state=state, rate=rate):
+            return (of(state + 1e-6 * rate) - of(state - 1e-6 * rate)) / 2e-6
+
+        v = slope(lambda x, motion=motion, heights=heights: motion.read(x, heights))[:, :c]
+        coefficients = [vehicle.parameters[part.damping] for part in vehicle.kind.suspensions]
+        power = (1e5 * u * v - coefficients * v**2).sum(axis=1)
+        change = slope(lambda x, motion=motion, heights=heights: motion.energy(x, heights).sum(axis=1))
+        np.testing.assert_allclose(change, power, rtol=0, atol=1e-6 * np.abs(power).max())
 
 
 LIGHT = """type = "quarter_car"

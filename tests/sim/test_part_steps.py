@@ -22,7 +22,10 @@ class Toy:
 
     def __call__(self, d, v, inputs, z):
         share = 0.2 * inputs if inputs.shape == d.shape else 0.0
-        return self.size * (2e4 * z + 4e6 * d**3) - share, self.rate(v, z)
+        return self.size * (2e4 * z + 4e6 * d**3) - share
+
+    def rates(self, d, v, inputs, z):
+        return self.rate(v, z)
 
     def rate(self, v, z):
         return v - 40.0 * np.abs(v) * z - 20.0 * v * np.abs(z)
@@ -111,7 +114,7 @@ def test_a_full_car_that_turns(centres, b):
 
         def pulls(d, v):
             seen.append(v)
-            return toy(d, v, none, y[None, 14:])[0] + more
+            return toy(d, v, none, y[None, 14:]) + more
 
         rates = motion.rate(y[None, :14], road, none, pulls, np.zeros((1, 0)))[0]
         return np.concatenate([rates, toy.rate(seen[0][0], y[14:])]), seen[0][0]

@@ -40,6 +40,7 @@ from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
+from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
 from sim.response.jumps import Jumps
@@ -222,7 +223,7 @@ class Meter:
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         self.ratios = {name: np.array([[one.motion_ratios[name]] for one in vehicles]) for name, *_ in self.where.actuators}
-        self.turning = vehicles if self.vehicle.ratio_tables else []
+        self.turning = MotionRatios(vehicles)
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         self.strokes = {
@@ -311,8 +312,8 @@ class Meter:
                 force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
                 work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
                 ratios = self.ratios[name]
-                if self.turning:
-                    ratios = np.stack([one.ratio_at(name, d) for one, d in zip(self.turning, along[:, :-1], strict=True)])
+                if self.turning.over_travel:
+                    ratios = self.turning.of(name, along[:, :-1].T).T
                 work = work * np.diff(along, axis=1) * ratios
                 self._add(power(name), work.sum(axis=1))
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
