@@ -12,7 +12,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.motion_ratios import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.physics.fitted_pulls import MotionRatios
 
 if TYPE_CHECKING:
     from sim.physics.sensor_readout import Readout
