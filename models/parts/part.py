@@ -147,13 +147,9 @@ class Part(ABC):
         """The force over velocity or deflection alone; None if it depends on more, or is drawn otherwise."""
         return None
 
-    def at_wheel(self, ratio: float) -> "Part":
-        """Returns the part that acts so at the wheel, through a constant motion ratio."""
-        if ratio == 1:
-            return self
-        from models.parts.ratio import AtRatio, Constant
-
-        return AtRatio(self, Constant(), ratio)
+    def at_wheel(self, ratio: float) -> "Part | None":
+        """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
+        return self if ratio == 1 else None
 
     @property
     def native(self) -> bool:

@@ -27,8 +27,7 @@ from models.laws.linear import LinearLaw
 from models.parts.damper_range import range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
-from models.vehicle.motion_ratios import MotionRatios
-from models.vehicle.suspension_forces import SuspensionForces
+from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import damper_signals, stretching, turns
 from sim.linear.linear_motion import lag_rates, suspensions_of

@@ -15,9 +15,9 @@ import numpy as np
 from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
+from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
-from models.vehicle.motion_ratios import ratio_notes
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import JOULES, Energy
 from sim.response.regime import (
@@ -191,7 +191,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         controller.text,
         *([claims(controller), certificate.own.words] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
-        *ratio_notes(vehicle),
+        *ratio_notes(vehicle.kind, vehicle.parameters),
         *filter_lines(vehicle),
         *growth_lines(vehicle, controller),
         *controller_remarks(controller),
