@@ -188,7 +188,7 @@ ROWS = {
         ),
     ),
     "adjustable damper": Row(
-        "adjustable damper", "input", lambda s, e: f"c_min = {LOW * s}\nc_max = {HIGH * s * e}",
+        "adjustable damper", "input", lambda s, e: f"c_min = {LOW * s}\nc_max = {HIGH * s * e}\nbandwidth = 90.0",
         lambda d, v, u: u * v, line=(9.0, 9.0),
         known=(  # c v, with 400 N s/m without a command
             '[actuators]\nkind = "damper"\nc_min = 100.0\nc_max = 4000.0',
@@ -254,8 +254,9 @@ def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault:
         if "stop" in by_slot:
             sections[f"limits{end.replace('_', '.')}"] = [by_slot["stop"].file(s, fault)]
         x, r = ratios_at(ratio, end)
-        if "actuator" in names:  # which has no number but its ratio
+        if "actuator" in names:  # which has no number but its ratio, and its lag
             r[1] *= fault
+            sections.setdefault("limits", []).append("actuator_bandwidth = 60.0" * (end == ends[0]))
         if ratio == "constant":
             sections.setdefault("parameters", []).append(f"motion_ratio{end} = {r[0]}")
         if ratio == "over travel":
@@ -448,7 +449,7 @@ def test_energy_is_stored_or_lost(kind, names, ratio):
 
 @every
 def test_different_vehicles_are_stacked(kind, names, ratio):
-    """The forces of vehicles that differ in parameters, and in tables, are those of each alone."""
+    """The forces of vehicles that differ in parameters, and in tables, are those of each alone; a parameter scales its curve."""
     first, other = car(kind, names, ratio), car(kind, names, ratio, 1.3)
     name = next(name for name in first.parameters if name.startswith(("suspension", "motion", "sprung")))
     cars = [first, first.with_parameters(**{name: 1.02 * first.parameters[name]}), other, first]
@@ -459,7 +460,10 @@ def test_different_vehicles_are_stacked(kind, names, ratio):
         own = slice(i, i + 1)
         alone = SuspensionForces([one])(d[:, own], v[:, own], u[:, own])[:, 0]
         assert np.abs(found[:, i] - alone).max() <= EXACT * np.abs(alone).max()
-    assert {"actuator", "adjustable damper"} & {*names} or not np.allclose(found[:, 0], found[:, 2], rtol=0.1)
+    if {ROWS[name].part for name in names} <= {"spring", "damper", "surface damper"}:
+        scaled = {name: 1.3 * value for name, value in first.parameters.items() if name.startswith("suspension_")}
+        alone = SuspensionForces([first.with_parameters(**scaled)])(d[:, :1], v[:, :1], u[:, :1])
+        assert np.abs(found[:, 2:3] - alone).max() <= EXACT * np.abs(alone).max()
 
 
 def by_stages(vehicle: Vehicle) -> Vehicle:
@@ -493,6 +497,7 @@ def test_native_forms_are_the_stages(kind, names, ratio):
                 for j, name in enumerate(names_of):
                     if re.fullmatch(rf"(fitted_)?{place.force}(_\d+)?", name):  # several actuators may be one damper
                         data.ctrl[j] = u[i]
+                        data.act[model.actuator_actadr[j] : model.actuator_actadr[j] + model.actuator_actnum[j]] = u[i]
                     if name == f"fitted_part_{place.tendon}":
                         data.ctrl[j] = pull
             mujoco.mj_forward(model, data)
@@ -521,11 +526,18 @@ def driven(kind, names, ratio, fault=1.0, h=H) -> tuple[RoadInput, PhysicsRuns]:
     return on, simulate([held(kind)], [on])
 
 
-def acting(on: RoadInput, run) -> np.ndarray:
-    """Inputs over the steps: forces of actuators, or coefficients beyond the nominal ones, shape (T, c)."""
-    of = {one.force: (one.coefficient, one.nominal) for one in on.vehicle.adjustable}
-    names = [of.get(place.force, (place.force, 0.0)) for place in on.vehicle.kind.suspensions]
-    return np.stack([run[name] - nominal for name, nominal in names], axis=-1)
+def acting(on: RoadInput, run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inputs at the samples, what is commanded over the steps, and rates of lags [1/s], shapes (T, c), (T - 1, c) and (c,).
+
+    Inputs are forces of actuators, or coefficients beyond the nominal ones. RK4 turns a lag of rate w into the factor R(w h).
+    """
+    of = {one.force: (one.coefficient, one.nominal, one.damper.bandwidth or 0.0) for one in on.vehicle.adjustable}
+    usual = on.vehicle.limits.actuator_bandwidth or 0.0
+    names = [of.get(place.force, (place.force, 0.0, usual)) for place in on.vehicle.kind.suspensions]
+    u, lag = np.stack([run[name] - nominal for name, nominal, _ in names], axis=-1), np.array([one[2] for one in names])
+    a = lag * on.timestep
+    gone = 1 - np.polyval([1 / 24, -1 / 6, 1 / 2, -1.0, 1.0], a)
+    return u, u[:-1] + np.diff(u, axis=0) / np.where(lag, gone, np.inf), lag
 
 
 @every
@@ -536,8 +548,8 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
     joints = [model.joint(i).name for i in range(model.njnt)]
     body = [name for name in ("sprung", "heave", "pitch", "roll") if name in joints]
     order = [joints.index(name) for name in (*body, *(f"unsprung{end}" for end in CORNERS[kind]))]
-    x = np.concatenate([physics.qpos[0][:, order], physics.qvel[0][:, order]], axis=1)
-    u, reached = acting(on, physics.run(0)), {name: (set[int](), set[int]()) for name in names}
+    (u, commands, lag), reached = acting(on, physics.run(0)), {name: (set[int](), set[int]()) for name in names}
+    x, n = np.concatenate([physics.qpos[0][:, order], physics.qvel[0][:, order], u], axis=1), 2 * len(order)
 
     def forces(d, v, u):
         for law, one, rate in zip(own, d.T, v.T, strict=True):
@@ -547,9 +559,11 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
                     found.update(np.searchsorted(sorted(knots), at).tolist())
         return np.stack([law(*at) for law, *at in zip(own, d.T, v.T, u.T, strict=True)], axis=-1)
 
-    mechanism = Mechanism(on.vehicle, forces)
-    stepped = rk4(lambda at: mechanism.rate(at, on.midway[:-1], u[:-1]), x[:-1], H)
-    assert (np.abs(stepped - x[1:]).max(axis=0) < EXACT * np.abs(x).max(axis=0)).all()
+    def rate(at):
+        x, u = at[:, :n], at[:, n:]
+        return np.concatenate([Mechanism(on.vehicle, forces).rate(x, on.midway[:-1], u), lag * (commands - u)], axis=1)
+
+    assert (np.abs(rk4(rate, x[:-1], H) - x[1:])[:, :n].max(axis=0) < EXACT * np.abs(x[:, :n]).max(axis=0)).all()
     for name, cells in reached.items():
         assert cells == tuple({*range(len(knots) + 1)} for knots in (ROWS[name].d, ROWS[name].v)), "every regime is reached"
 
@@ -557,15 +571,16 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
 HARDEST = [case for case in SINGLE if case[1] == "over travel" or case == (("adjustable damper",), "constant")]
 
 
-def integrated(on: RoadInput, law: Law, u) -> np.ndarray:
+def integrated(on: RoadInput, law: Law, u, commands, lag) -> np.ndarray:
     """Deflections of suspension and tyre of a quarter-car, shape (T, 2), by DOP853, started again wherever a law has a knot.
 
-    Road and inputs, shape (T,), are held over each step, as MuJoCo has them.
+    Road and commands are held over each step, as MuJoCo has them; inputs follow with their lag.
     """
     p, h, rows = on.vehicle.parameters, on.timestep, [ROWS[name] for name in law.names]
     static = (p["sprung_mass"] + p["unsprung_mass"]) * G / p["tyre_stiffness"]
 
-    def rate(_, x):
+    def rate(since, x):
+        held = to + (begin - to) * np.exp(-lag[0] * since)
         f, t = float(law(x[0] - x[1], x[2] - x[3], held)), x[1] - road
         return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"]]
 
@@ -577,7 +592,7 @@ def integrated(on: RoadInput, law: Law, u) -> np.ndarray:
         vars(event)["terminal"] = True
     x, found = np.zeros(4), []
     for k in range(len(u)):
-        road, held = on.midway[k, 0], u[k]
+        road, begin, to = on.midway[k, 0], u[k, 0], commands[min(k, len(commands) - 1), 0]
         found.append([x[0] - x[1], x[1] - on.heights[k, 0]])
         at = 0.0
         while at < h and k < len(u) - 1:
@@ -595,7 +610,7 @@ def test_a_run_is_an_independent_integration(names, ratio):
     for h in (4e-3, 2e-3):
         on, physics = driven("quarter_car", names, ratio, h=h)
         run = physics.run(0)
-        expected = integrated(on, laws("quarter_car", names, ratio)[0], acting(on, run)[:, 0])
+        expected = integrated(on, laws("quarter_car", names, ratio)[0], *acting(on, run))
         found = np.stack([run["suspension_deflection"], run["tyre_deflection"]], axis=-1)
         errors.append(float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max()))
     assert errors[0] < 2e-3
@@ -634,7 +649,8 @@ def test_the_verdict_passes_and_a_fault_is_found(kind, names, ratio):
 def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     """Vehicles that differ in parameters and in tables run in one batch as each does alone, to the last bit."""
     first, other = car(kind, names, ratio), car(kind, names, ratio, 1.01)
-    cars = [first, first.with_parameters(sprung_mass=0.95 * first.parameters["sprung_mass"]), other]
+    scaled = {name: 1.02 * value for name, value in first.parameters.items() if name.startswith("suspension_")}
+    cars = [first, first.with_parameters(**scaled), other]
     inputs = [RoadInput(one, ROADS[kind], H * np.arange(120)) for one in cars]
     together = simulate([held(kind)] * len(cars), inputs).response.values
     for own, one in zip(together, inputs, strict=True):
