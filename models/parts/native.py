@@ -32,7 +32,7 @@ class Tendon:
     Attributes:
         spec: the model, its parameters written into it.
         name: name of the tendon.
-        rest: its length at rest [m].
+        rest: length at rest [m].
         prefix: beginning of the names of actuators that a part adds.
     """
 

@@ -9,11 +9,12 @@ from models.parts.ratio import AtRatio, Constant
 
 PARTS = {  # name -> module and class
     "stop": "models.parts.stop:Stops",
-    "spring": "models.parts.spring:Spring",
-    "damper": "models.parts.damper:Damper",
+    "spring": "models.parts.spring:SpringCurve",
+    "damper": "models.parts.damper:DamperCurve",
     "surface damper": "models.parts.surface_damper:SurfaceDamper",
     "adjustable damper": "models.parts.adjustable:Adjustable",
     "actuator": "models.parts.actuator:Actuator",
+    "hydraulic_stop": "models.parts.hydraulic_stop:HydraulicStop",
 }
 
 

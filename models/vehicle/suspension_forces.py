@@ -1,13 +1,16 @@
 """Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts. Motion ratios of inputs."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.characteristics.ratio_table import RatioTable
 from models.common.arrays import Array
 from models.parts.part import Stack, alike
 from models.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from models.characteristics.ratio_table import RatioTable
 
 
 class SuspensionForces:
@@ -27,7 +30,7 @@ class SuspensionForces:
         Args:
             by_motor: True for parts alone that have no form native to MuJoCo.
             contacts: False leaves out parts without effect before an end of the linear regime.
-            whole: True adds the lines of parts that are no parameters, which linear models have, but not the kinds' equations.
+            whole: True adds the lines of elements of `[parts]`, which are in linear models, but not in the kinds' equations.
         """
         first, inputs = vehicles[0], vehicles[0].linear_model.inputs
         places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}

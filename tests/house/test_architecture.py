@@ -91,10 +91,10 @@ MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 # What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
 REACHES = {
     "synth.analysis": "models.common models.document synth.plant",
-    "synth.controller": "models.common models.characteristics models.document models.kinds models.laws models.parts models.vehicle "
-    "synth.analysis synth.plant",
-    "sim.inspect": "models.common models.characteristics models.document models.kinds models.laws models.roads models.parts models.vehicle "
-    "synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+    "synth.controller": "models.common models.characteristics models.document models.kinds models.laws models.parts "
+    "models.vehicle synth.analysis synth.plant",
+    "sim.inspect": "models.common models.characteristics models.document models.kinds models.laws models.roads models.parts "
+    "models.vehicle synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
 }
 
 # Who may import what is heavy, or replaceable.

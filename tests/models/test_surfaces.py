@@ -118,14 +118,14 @@ def test_a_ratio_of_travel_acts_on_velocity_and_force():
 def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
     ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
-    surface, rng = ratio.damper(tabled().fitted[0].curve, 1.0), np.random.default_rng(0)
+    surface, rng = ratio.damper(tabled().fitted[0].curve), np.random.default_rng(0)
     v, d = rng.uniform(-1, 1, 500), rng.uniform(-0.06, 0.06, 500)
     turn = np.where(d < 0, -1.0, -0.5)
     r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
     force = r * [bilinear(*pair) for pair in zip(r * v, own, strict=True)]
     assert np.abs(surface.along(v, d) - force).max() < 1e-4 * np.abs(force).max()
     late = ForceCurve(np.array([-1.0, -0.4, 0.0, 0.4, 1.0]), np.array([-1.0, -0.8, 0.0, 0.8, 1.0]), 2.0, "")
-    assert RatioTable(np.array([-0.1, 0.1]), np.array([0.4, 0.4])).damper(late, 1.0).bent  # where the suspension moves at 1 m/s
+    assert RatioTable(np.array([-0.1, 0.1]), np.array([0.4, 0.4])).damper(late).bent  # where the suspension moves at 1 m/s
 
 
 def test_two_percent_of_any_number_shows():

@@ -41,7 +41,7 @@ def integrated(vehicle, road, parts):
         parts: RK4's steps in a timestep.
     """
     p, law, adjusts = vehicle.parameters, vehicle.controllers["law"].law.sampled(PERIOD * H), bool(vehicle.dampers)
-    curves, c = {one.over.name: one.curve for one in vehicle.fitted}, p["suspension_damping"]
+    curves, c = {one.part.argument: one.curve for one in vehicle.fitted}, p["suspension_damping"]
     spring = curves.get("deflection", lambda d: p["suspension_stiffness"] * d)
     damper = curves["velocity"] if "velocity" in curves and not vehicle.kind.ratios else lambda v: c * v
 

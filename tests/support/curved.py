@@ -38,7 +38,7 @@ def integrated_by_scipy(vehicle: Vehicle, road: Bump, time: np.ndarray) -> np.nd
     From (28), with forces straight between the points of the tables, and the road held at its middle over every step, as MuJoCo
     has it. DOP853 to 1e-12, started again wherever the damper or the spring passes one of its points.
     """
-    p, (h, curves) = vehicle.parameters, (float(time[1]), {one.over.name: one.curve for one in vehicle.fitted})
+    p, (h, curves) = vehicle.parameters, (float(time[1]), {one.part.argument: one.curve for one in vehicle.fitted})
 
     def table(name, slope):
         if name not in curves:
