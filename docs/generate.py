@@ -36,6 +36,7 @@ from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
 from models.laws.goals import BOUNDS, Minimise
 from models.laws.law_structure import PidSection
+from models.parts.element import Place, element_kinds
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
@@ -222,6 +223,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[curves]"] = list({row[0]: row for section in tables for row in section_keys(section)}.values())
     sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(PayloadSection)
+    sections["[parts.NAME]"] = section_keys(Place)
+    sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)
     return sections

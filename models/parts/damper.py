@@ -15,7 +15,7 @@ FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 
 
 @dataclass(frozen=True, eq=False)
-class Damper(Characteristic):
+class DamperCurve(Characteristic):
     """Damper with a curve."""
 
     argument: ClassVar[Quantity] = "velocity"

@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.characteristics.curve import Pieces
 from models.common.arrays import Array
 from models.parts.part import SettablePart
+
+if TYPE_CHECKING:
+    from models.characteristics.curve import Pieces
 
 STILL = 1e-150  # m/s, in place of a velocity of 0
 
@@ -144,7 +147,7 @@ def range_of(
     return CoefficientRange(low, high, adjustable[0], Bent(_stacked(shapes), _stacked(softs)))
 
 
-def _stacked(pieces: Sequence[Sequence[Pieces | None]]) -> Array:
+def _stacked(pieces: "Sequence[Sequence[Pieces | None]]") -> Array:
     """Stacks the pieces of N runs with m actuators, padded to one width, shape (4, N, m, P)."""
     most = max(len(part.slope) for row in pieces for part in row if part is not None)
     stacked = np.zeros((4, len(pieces), len(pieces[0]), most))

@@ -96,6 +96,6 @@ def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
         here = [corner for corner in corners if f"{corner}_".startswith(f"{place}_")]
         if not here:
             known = f"it has {listing(corners)}" if any(corners) else "omit at, as there is only one suspension"
-            raise InputError(f"at = {place!r} is no suspension of this vehicle; {known}")
+            raise InputError(f"at = {place!r} is not a suspension or an axle of this vehicle; {known}")
         chosen += here
     return tuple(dict.fromkeys(chosen)) if at else tuple(corners)

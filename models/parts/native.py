@@ -16,14 +16,12 @@ import numpy as np
 
 from models.characteristics.curve import Pieces
 from models.common.errors import InputError
-from models.parts.part import SuspensionPart
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
 
 UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
-SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 MOTOR = "part_"  # begins the name of a motor, after the prefix and before the tendon
 
 
@@ -34,7 +32,7 @@ class Tendon:
     Attributes:
         spec: the model, its parameters written into it.
         name: name of the tendon.
-        rest: its length at rest [m].
+        rest: length at rest [m].
         prefix: beginning of the names of actuators that a part adds.
     """
 
@@ -116,19 +114,6 @@ class Tendon:
         actuator = self.spec.add_actuator(name=name, target=self.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
         return actuator
-
-
-def check_line(tendon: Any, one: SuspensionPart) -> None:
-    """Refuses a tendon with another stiffness or damping than the parameter that a part replaces."""
-    if not one.parameter:
-        return
-    line = one.part.line
-    own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
-    if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
-        raise InputError(
-            f"the tendon {one.tendon!r} has the value {own:g}, but {one.parameter} is {slope:g}, so a curve cannot replace it; "
-            "let write_mjcf write the parameter, or omit the curve"
-        )
 
 
 def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:

@@ -35,7 +35,7 @@ CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
 @dataclass(frozen=True)
 class Line:
-    """What linear analysis knows of a part at rest: pull = k d + c v + g u.
+    """Line of a part at rest, for linear analysis: pull = k d + c v + g u.
 
     Attributes:
         stiffness: k [N/m].
@@ -60,7 +60,7 @@ class Limit:
 
     Attributes:
         end: name of the end, as in `sim.response.regime`.
-        of: what reaches the limit: deflection or velocity of the suspension, or the force beyond the line.
+        of: quantity with the limit: deflection or velocity of the suspension, or force beyond the line.
         sign: sign of the side with the limit; 0 for both.
         value: limit of that side, or of the magnitude [m, m/s or N].
     """
@@ -147,13 +147,9 @@ class Part(ABC):
         """The force over velocity or deflection alone; None if it depends on more, or is drawn otherwise."""
         return None
 
-    def at_wheel(self, ratio: float) -> "Part":
-        """Returns the part that acts so at the wheel, through a constant motion ratio."""
-        if ratio == 1:
-            return self
-        from models.parts.ratio import AtRatio, Constant
-
-        return AtRatio(self, Constant(), ratio)
+    def at_wheel(self, ratio: float) -> "Part | None":
+        """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
+        return self if ratio == 1 else None
 
     @property
     def native(self) -> bool:
@@ -181,7 +177,7 @@ class Part(ABC):
     def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
         """Yields the parts of a suspension that follow from other sections than `[parts]`, in their own travel.
 
-        Each is with the parameter that is its line, or an empty text for one whose line is no parameter.
+        Each is with the parameter that is its line, or with an empty text.
         """
         yield from ()
 
@@ -193,7 +189,7 @@ class SuspensionPart:
     Attributes:
         place: the suspension.
         part: the part at the wheel.
-        parameter: parameter of the vehicle that is the part's line; empty if its line is no parameter.
+        parameter: parameter of the vehicle that is the part's line; empty for an element without one.
         ratio: motion ratio at rest.
     """
 

@@ -23,7 +23,7 @@ from models.parts.part import CURVE, Limit, Line, Part, Quantity
 
 @dataclass(frozen=True)
 class Constant:
-    """A motion ratio of 1, in place of a `RatioTable`."""
+    """Motion ratio of 1, with the interface of a `RatioTable`."""
 
     at_rest: ClassVar[float] = 1.0
     turn: ClassVar[float] = 0.0

@@ -5,15 +5,16 @@ from functools import cache
 from typing import Any
 
 from models.parts.part import SuspensionPart
-from models.parts.ratio import AtRatio
+from models.parts.ratio import AtRatio, Constant
 
 PARTS = {  # name -> module and class
     "stop": "models.parts.stop:Stops",
-    "spring": "models.parts.spring:Spring",
-    "damper": "models.parts.damper:Damper",
+    "spring": "models.parts.spring:SpringCurve",
+    "damper": "models.parts.damper:DamperCurve",
     "surface damper": "models.parts.surface_damper:SurfaceDamper",
     "adjustable damper": "models.parts.adjustable:Adjustable",
     "actuator": "models.parts.actuator:Actuator",
+    "hydraulic_stop": "models.parts.hydraulic_stop:HydraulicStop",
 }
 
 
@@ -38,7 +39,8 @@ def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]
         for part, parameter in own:
             ratio = place.motion_ratio(vehicle.parameters)
             if (table := kind.table_of(place)) is None:
-                placed.append(SuspensionPart(place, part.at_wheel(ratio), parameter, ratio))
+                at_wheel = part.at_wheel(ratio) or AtRatio(part, Constant(), ratio)
+                placed.append(SuspensionPart(place, at_wheel, parameter, ratio))
                 continue
             carries = bool(parameter) and parameter == place.stiffness
             load = kind.static_loads(vehicle.parameters)[place.deflection] if carries else 0.0

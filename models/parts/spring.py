@@ -15,7 +15,7 @@ from models.parts.part import Part, Quantity
 
 
 @dataclass(frozen=True, eq=False)
-class Spring(Characteristic):
+class SpringCurve(Characteristic):
     """Spring with a curve."""
 
     argument: ClassVar[Quantity] = "deflection"

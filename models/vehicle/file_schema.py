@@ -9,6 +9,7 @@ from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stops import StopSection, places_of
 from models.common.schema import NUMBER, Section, described, json_schema
 from models.laws.filter import FilterSection
+from models.parts.element import Place, element_kinds
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
@@ -54,11 +55,20 @@ def file_schema(name: str) -> dict[str, Any]:
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},
         "controllers": TABLE | {"additionalProperties": controller},
+        "parts": TABLE | {"additionalProperties": {"anyOf": [_element(name, one) for name, one in element_kinds().items()]}},
     }
     file = json_schema(VehicleFile)
     file["properties"] |= {"type": {"const": name}, **sections}
     title = f"Roadproof vehicle file of type {name}"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **file}
+
+
+def _element(name: str, section: type[Section]) -> dict[str, Any]:
+    """Returns the schema of a section of `[parts]` with this kind."""
+    whole, own = json_schema(Place), json_schema(section)
+    at = {"anyOf": [whole["properties"]["at"], {"type": "string"}]}
+    properties = whole["properties"] | {"kind": {"const": name}, "at": at} | own["properties"]
+    return own | {"properties": properties, "required": ["kind", *own.get("required", [])]}
 
 
 def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -22,12 +23,16 @@ from models.kinds.strut_and_tyre import actuator_of
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from models.parts.part import SuspensionPart
+
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
 
 GIVE = "give the MuJoCo model of the vehicle type"
 FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
+SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
 
@@ -141,7 +146,7 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     pairs, parts = [pair for pair in pairs if pair[0] in names - sensed], [one for one in vehicle.parts if one.acts]
     if not (pairs or parts):
         return
-    from models.parts.native import Tendon, check_line, sense_velocities
+    from models.parts.native import Tendon, sense_velocities
 
     with error_in(f"MJCF {vehicle.kind.mjcf}:"):
         tendons = {tendon.name: tendon for tendon in spec.tendons}
@@ -150,7 +155,7 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                 raise InputError(
                     f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit these"
                 )
-            check_line(tendons[one.tendon], one)
+            _check_line(tendons[one.tendon], one)
         sense_velocities(spec, pairs)
         if not parts:
             return
@@ -164,6 +169,19 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             Tendon(spec, name, rest[name], FITTED).add_motor()
         for one, tendon in places:
             one.part.write_input(tendon, not one.native)
+
+
+def _check_line(tendon: Any, one: "SuspensionPart") -> None:
+    """Refuses a tendon with another stiffness or damping than the parameter that a part replaces."""
+    if not one.parameter:
+        return
+    line = one.part.line
+    own, slope = (float((tendon.damping if one.damps else tendon.stiffness)[0]), line.damping if one.damps else line.stiffness)
+    if not abs(own - slope) <= SAME * max(abs(own), abs(slope)):
+        raise InputError(
+            f"the tendon {one.tendon!r} has the value {own:g}, but {one.parameter} is {slope:g}, so a curve cannot replace it; "
+            "let write_mjcf write the parameter, or omit the curve"
+        )
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:

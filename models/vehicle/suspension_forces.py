@@ -1,13 +1,16 @@
-"""Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts."""
+"""Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts. Motion ratios of inputs."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.kinds.linear_model import LinearModel
 from models.parts.part import Stack, alike
 from models.vehicle.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from models.characteristics.ratio_table import RatioTable
 
 
 class SuspensionForces:
@@ -27,7 +30,7 @@ class SuspensionForces:
         Args:
             by_motor: True for parts alone that have no form native to MuJoCo.
             contacts: False leaves out parts without effect before an end of the linear regime.
-            whole: True adds the lines of parts that are no parameters, which linear models have, but not the kinds' equations.
+            whole: True adds the lines of elements of `[parts]`, which are in linear models, but not in the kinds' equations.
         """
         first, inputs = vehicles[0], vehicles[0].linear_model.inputs
         places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}
@@ -95,33 +98,47 @@ def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
     return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
 
 
-def wheel_model(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model of a vehicle without `[parts]`, whose inputs are forces at the wheels: those of actuators times
-    their motion ratios.
+class MotionRatios:
+    """Motion ratios of the inputs of N vehicles of one kind.
+
+    Attributes:
+        over_travel: names of the inputs whose ratio changes with travel.
     """
-    return vehicle.kind.model(vehicle.kind.at_wheels(vehicle.parameters))
+
+    def __init__(self, vehicles: Sequence[Vehicle]) -> None:
+        """Takes N vehicles, or one for any number of runs."""
+        first, self._at_rest = vehicles[0], dict[str, Array]()
+        places = {place.force: place for place in first.kind.suspensions}
+        self._tables: dict[str, list[tuple[RatioTable, Array, Array]]] = {}  # each with its runs and its factor in these
+        for force in first.linear_model.inputs:
+            ratios = self._at_rest[force] = np.array([one.motion_ratios[force] for one in vehicles])
+            groups: dict[int, tuple[RatioTable, list[int]]] = {}
+            for i, one in enumerate(vehicles):
+                if force in places and (table := one.kind.table_of(places[force])) is not None:
+                    groups.setdefault(id(table), (table, []))[1].append(i)
+            if groups:
+                self._tables[force] = [(table, np.array(runs), ratios[runs] / table.at_rest) for table, runs in groups.values()]
+        self.over_travel = tuple(self._tables)
+
+    def of(self, force: str, deflection: Array) -> Array:
+        """Returns the ratio of an input at deflections of its suspension [m], shape (..., N)."""
+        ratios = np.broadcast_to(self._at_rest[force], np.shape(deflection)).copy()
+        for table, runs, factor in self._tables.get(force, ()):
+            ratios[..., runs] = factor * table(deflection[..., runs])
+        return ratios
+
+    def turn(self, force: str, deflection: Array) -> Array:
+        """Returns the same ratio over that at rest, shape (..., N)."""
+        return self.of(force, deflection) / self._at_rest[force]
 
 
-def force_effects(vehicle: Vehicle, deflections: Sequence[str]) -> tuple[Array, Array]:
-    """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
+def ratio_at(vehicle: Vehicle, force: str, deflection: Array) -> Array:
+    """Returns the motion ratio of an input of a vehicle at deflections of its suspension [m], shape (...)."""
+    return MotionRatios([vehicle]).of(force, np.asarray(deflection)[..., None])[..., 0]
 
-    For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
-    """
-    model, kind, parameters = wheel_model(vehicle), vehicle.kind, vehicle.kind.at_wheels(vehicle.parameters)
-    suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
-    push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
-    for j, name in enumerate(deflections):
-        force = suspensions[name].force
-        if force in model.inputs:
-            i = model.inputs.index(force)
-            push[:, j], outputs[:, j] = -model.B[:, i], -model.D[:, i]
-            continue
-        parameter = suspensions[name].stiffness
-        stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
-        more = kind.model({**parameters, parameter: 2 * parameters[parameter]})
-        by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
-        push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
-        outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
-    # The outputs of actuator forces do not include curves.
-    outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
-    return push, outputs
+
+def travel_at(vehicle: Vehicle, force: str, deflection: Array) -> Array:
+    """Returns the travel of an actuator [m], the integral of its motion ratio from rest, shape (...); arguments as above."""
+    ratio, place = vehicle.motion_ratios[force], next((one for one in vehicle.kind.suspensions if one.force == force), None)
+    table = None if place is None else vehicle.kind.table_of(place)
+    return ratio * deflection if table is None else ratio / table.at_rest * table.travel(deflection)

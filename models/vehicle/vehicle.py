@@ -245,9 +245,9 @@ class Vehicle(Shown):
             return model
         names, lines = [one.deflection for one in more], [one.part.line for one in more]
         stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
-        from models.vehicle.suspension_forces import force_effects
+        from models.kinds.at_wheels import force_effects
 
-        return model.with_lines(model.rows(names)[0], *force_effects(self, names), stiffness, damping)
+        return model.with_lines(model.rows(names)[0], *force_effects(self.kind, self.parameters, names), stiffness, damping)
 
     @cached_property
     def ride_points(self) -> RidePoints:
@@ -262,14 +262,14 @@ class Vehicle(Shown):
     @property
     def shown(self) -> Document:
         """Vehicle type and file, then parameters, weights and controllers."""
-        from models.vehicle.motion_ratios import ratio_notes
+        from models.kinds.at_wheels import ratio_notes
 
         units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
         return facts(
             f"vehicle: {self.kind.name}{f', {self.source}' if self.source else ''}",
             {
                 "parameters": ", ".join(f"{name} {value:g} {units[name]}".rstrip() for name, value in self.parameters.items()),
-                **({"with motion ratios": "; ".join(notes)} if (notes := ratio_notes(self)) else {}),
+                **({"with motion ratios": "; ".join(notes)} if (notes := ratio_notes(self.kind, self.parameters)) else {}),
                 "weights": ", ".join(f"{name} {weight:g}" for name, weight in self.performance.items() if weight),
                 "controllers": ", ".join(("passive", "state", *self.controllers)),
             },

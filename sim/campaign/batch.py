@@ -17,7 +17,8 @@ from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.linear.dampers import is_linear
-from sim.linear.sampled_response import forces_ahead, readings_of_loads
+from sim.linear.outputs import forces_ahead
+from sim.linear.sampled_response import readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch

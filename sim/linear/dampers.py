@@ -4,7 +4,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.parts.damper_range import range_of
-from models.vehicle.motion_ratios import MotionRatios
+from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Controller

@@ -12,12 +12,11 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
+from sim.linear.outputs import response_of, with_linear_sides
 from sim.linear.sampled_response import (
     load_forcing,
     outside_at_samples,
-    response_of,
     road_forcing,
-    with_linear_sides,
 )
 from sim.response.recursion import recursion
 from sim.response.response import Response

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.vehicle.suspension_forces import SuspensionForces, force_effects, wheel_model
+from models.kinds.at_wheels import force_effects, wheel_model
+from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -55,8 +56,9 @@ def suspensions_of(vehicle: Vehicle, acts: Array) -> Suspensions:
             rates = [one[model.outputs.index(velocity)] for one in (model.C, model.Cr)]
         for gain, own in zip(gains, (model.C[row], model.Cr[row], *rates), strict=True):
             gain[i] = own
-        push[:, [i]], shown[:, [i]] = force_effects(vehicle, [part.deflection])
-    return Suspensions(*gains, push, shown)
+        push[:, [i]], shown[:, [i]] = force_effects(vehicle.kind, vehicle.parameters, [part.deflection])
+    travel, travel_of_road, rate, rate_of_road = gains
+    return Suspensions(travel, travel_of_road, rate, rate_of_road, push, shown)
 
 
 class LinearMotion:
@@ -68,7 +70,7 @@ class LinearMotion:
         Raises:
             ValueError: a suspension with such forces is not a state of the linear model, or its effect is unknown.
         """
-        self.model, self.names = wheel_model(vehicle), vehicle.linear_model.states
+        self.model, self.names = wheel_model(vehicle.kind, vehicle.parameters), vehicle.linear_model.states
         self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
         acts = SuspensionForces([vehicle]).acts
         if any(one.deflection not in self.names for one, act in zip(vehicle.kind.suspensions, acts, strict=True) if act):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from models.common.arrays import Array
-from models.vehicle.suspension_forces import force_effects
+from models.kinds.at_wheels import force_effects
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -54,4 +54,7 @@ class Elements:
 def elements(vehicle: Vehicle) -> Elements:
     """Returns the curves of a vehicle on its linear model."""
     curved = [fitted for fitted in vehicle.fitted if fitted.curve.bent]
-    return Elements(tuple(fitted.curve for fitted in curved), *force_effects(vehicle, [fitted.deflection for fitted in curved]))
+    return Elements(
+        tuple(fitted.curve for fitted in curved),
+        *force_effects(vehicle.kind, vehicle.parameters, [fitted.deflection for fitted in curved]),
+    )

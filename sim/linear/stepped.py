@@ -27,12 +27,11 @@ from models.laws.linear import LinearLaw
 from models.parts.damper_range import range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
-from models.vehicle.motion_ratios import MotionRatios
-from models.vehicle.suspension_forces import SuspensionForces
+from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import damper_signals, stretching, turns
 from sim.linear.linear_motion import lag_rates, suspensions_of
-from sim.linear.sampled_response import forces_ahead, response_of, with_linear_sides
+from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
 from sim.response.recursion import SHARES, WEIGHTS, recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -179,42 +178,40 @@ class _Laws:
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
         """Prepares the laws for a period of so many timesteps."""
-        vehicle, h, model = inputs[0].vehicle, inputs[0].timestep, steps.model
+        self._forces, different = steps.model.B.shape[1], {id(one): one for one in controllers}
         laws = dict[int, LinearLaw]()
-        for one in controllers:
-            if id(one) not in laws:
-                with error_in(f"controller {one.name!r}:"):
-                    laws[id(one)] = one.law.sampled(period * h)
-        (n, m), self.states = model.B.shape, max(law.states for law in laws.values())
-        self._forces, self.feels = m, False
-        stretch = np.pad(stretching(vehicle), ((0, 0), (0, n - len(vehicle.linear_model.states)))) if vehicle.dampers else None
-        rows, readings, windup = dict[int, Array](), dict[int, Array](), dict[int, Array]()
-        for one in controllers:
-            if id(one) in rows:
-                continue
-            law, measured = laws[id(one)], [model.outputs.index(name) for name in one.measured]
-            k, idle = law.states, self.states - law.states
-            C, of_road = model.C[measured], model.C[measured] @ model.jump + model.Cr[measured]
-            seen = [C, model.D[measured], steps.shown[measured], of_road, model.Dh[measured]]
-            self.feels |= bool(steps.shown[measured].any())
-            own = np.vstack([law.D, law.B])
-            answer = np.hstack([own @ np.hstack(seen[:3]), np.vstack([law.C, law.A]), np.zeros((m + k, idle))])
-            known = own @ np.hstack(seen[3:])
-            answer, known = np.pad(answer, ((0, idle), (0, 0))), np.pad(known, ((0, idle), (0, 0)))
-            if stretch is not None:
-                answer = np.vstack([answer, np.pad(-stretch, ((0, 0), (0, answer.shape[1] - n)))])
-                known = np.vstack([known, np.pad(-stretch @ model.jump, ((0, 0), (0, model.Dh.shape[1])))])
-            rows[id(one)], readings[id(one)] = answer.T, known.T
-            windup[id(one)] = np.pad(anti_windup_gain(law), ((0, idle), (0, 0))).T
-        self._answers = np.ascontiguousarray(np.stack([rows[id(one)] for one in controllers]))
-        self.windup = np.stack([windup[id(one)] for one in controllers]) if any(one.any() for one in windup.values()) else None
+        for key, one in different.items():
+            with error_in(f"controller {one.name!r}:"):
+                laws[key] = one.law.sampled(period * inputs[0].timestep)
+        self.states = max(law.states for law in laws.values())
+        built = {key: self._built(steps, inputs[0].vehicle, one, laws[key]) for key, one in different.items()}
+        answers, readings, windups = zip(*(built[id(one)] for one in controllers), strict=True)
+        self.feels = any(steps.shown[[steps.model.outputs.index(name) for name in one.measured]].any() for one in controllers)
+        self._answers, self._one = np.stack(answers), answers[0] if len(different) == 1 else None
+        self.windup = np.stack(windups) if any(one.any() for one in windups) else None
         self.idle = not (self.states or any(one.law.acts or one.preview is not None for one in controllers))
-        self._one = self._answers[0] if len(laws) == 1 else None
         known = [np.hstack([road.heights, road.in_readings])[::period] for road in inputs]
-        self._known = np.stack([own @ readings[id(one)] for own, one in zip(known, controllers, strict=True)], axis=1)
+        self._known = np.stack([own @ one for own, one in zip(known, readings, strict=True)], axis=1)
         for i, (one, road) in enumerate(zip(controllers, inputs, strict=True)):
             if one.preview is not None:
-                self._known[:, i, :m] += forces_ahead(one.preview, road, period)[::period]
+                self._known[:, i, : self._forces] += forces_ahead(one.preview, road, period)[::period]
+
+    def _built(self, steps: Stepper, vehicle: Vehicle, controller: Controller, law: LinearLaw) -> tuple[Array, Array, Array]:
+        """Returns the gains from what `__call__` takes, from road and loads, and from clipped-off forces to the states of a law.
+
+        Laws with fewer states than others have zeros for the rest.
+        """
+        model, measured = steps.model, [steps.model.outputs.index(name) for name in controller.measured]
+        (n, m), idle, own = model.B.shape, ((0, self.states - law.states), (0, 0)), np.vstack([law.D, law.B])
+        C, of_road = model.C[measured], model.C[measured] @ model.jump + model.Cr[measured]
+        answer = np.hstack([own @ np.hstack([C, model.D[measured], steps.shown[measured]]), np.vstack([law.C, law.A])])
+        answer, known = np.pad(answer, (idle[0], idle[0])), np.pad(own @ np.hstack([of_road, model.Dh[measured]]), idle)
+        if not vehicle.dampers:
+            return answer.T, known.T, np.zeros((m, self.states))
+        closing = np.pad(-stretching(vehicle), ((0, 0), (0, n - len(vehicle.linear_model.states))))
+        answer = np.vstack([answer, np.pad(closing, ((0, 0), (0, answer.shape[1] - n)))])
+        known = np.vstack([known, np.pad(closing @ model.jump, ((0, 0), (0, model.Dh.shape[1])))])
+        return answer.T, known.T, np.pad(anti_windup_gain(law), idle).T
 
     def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, kept: Array) -> tuple[Array, Array, Array]:
         """Returns requested forces, states after the sample, and closing velocities, shapes (N, m), (N, k), and (N, m) or (N, 0).
@@ -301,7 +298,12 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
-    xi, kept, now, waiting = np.zeros((count, n)), np.zeros((count, laws.states)), np.zeros((count, m)), dict[int, tuple]()
+    xi, kept, now, waiting = (
+        np.zeros((count, n)),
+        np.zeros((count, laws.states)),
+        np.zeros((count, m)),
+        dict[int, Sequence[Array]](),
+    )
     lost, by_inputs, unfelt = np.zeros((count, missing.shape[2])), None, np.zeros((count, steps.shown.shape[1]))
     for k in range(samples):
         states[k] = xi

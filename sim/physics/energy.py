@@ -49,7 +49,7 @@ from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
-from models.vehicle.motion_ratios import ratio_at, travel_at
+from models.vehicle.suspension_forces import ratio_at, travel_at
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging

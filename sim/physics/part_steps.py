@@ -92,12 +92,14 @@ class PartBatch(Batch):
         pulled = [i for i, name in enumerate(names) if name in motors]
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
-        self._lengths = _Lengths(model, [int(model.tendon(name).id) for name in tendons], models or [model])
+        # A suspension without a tendon in the model has the index -1, the last tendon's; without a motor nothing acts there.
+        indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
+        self._lengths = _Lengths(model, indices, models or [model])
         self._inertance = None if pulls.inertance is None else pulls.inertance[:, self._pulled]
         self._response: Array | None = None
         ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # of the parts of a state: qpos, qvel, act, z
-        self._velocities, self._motion, self._own = slice(ends[0], ends[1]), slice(0, ends[2]), slice(ends[2], ends[3])
-        self._begin, self._x, self._rates = (np.zeros((*more, count, ends[3])) for more in ((), (), (len(SHARES),)))
+        self._begin, self._x = _State(count, ends), _State(count, ends)
+        self._rates = np.zeros((len(SHARES), count, ends[-1]))
         self._parts = [np.split(rates, ends[:-1], axis=1) for rates in self._rates]  # views
 
     def forward(self, ids: Any = None, stage: int = AT_ACCELERATIONS) -> None:
@@ -113,16 +115,15 @@ class PartBatch(Batch):
         self._start()
         self._there.batch.state[:] = self.state
         for i in range(1, len(SHARES)):
-            np.multiply(rates[i - 1], SHARES[i] * self._h, out=x)
-            x += begin
-            self._there.motion[:] = x[:, self._motion]
+            np.multiply(rates[i - 1], SHARES[i] * self._h, out=x.all)
+            x.all += begin.all
+            self._there.motion[:] = x.motion
             self._evaluate(self._there, x, i)
         rates *= SUMMED
-        np.add.reduce(rates, axis=0, out=x)
-        x *= self._h
-        x += begin
-        self._here.motion[:] = x[:, self._motion]
-        self.z[:] = x[:, self._own]
+        np.add.reduce(rates, axis=0, out=x.all)
+        x.all *= self._h
+        x.all += begin.all
+        self._here.motion[:], self.z[:] = x.motion, x.own
         self.state[:, 0] += self._h  # the time
         if stage:
             self.forward(stage=stage)
@@ -130,27 +131,24 @@ class PartBatch(Batch):
     def deflections(self) -> Array:
         """Returns the present deflections of the suspensions [m], shape (N, s)."""
         self._there.batch.state[:] = self.state
-        return self._lengths(self._there, self._there.motion)[0]
+        self._x.motion[:] = self._here.motion
+        return self._lengths(self._there, self._x)[0]
 
     def _start(self) -> None:
         """Evaluates the present state, with its sensors."""
-        self._begin[:, self._motion], self._begin[:, self._own] = self._here.motion, self.z
+        self._begin.motion[:], self._begin.own[:] = self._here.motion, self.z
         self._evaluate(self._here, self._begin, 0)
 
-    def _evaluate(self, bound: "_Bound", x: Array, i: int) -> None:
-        """Sets the motors of a batch for its present state, which is x without the parts' own states, and the rates of stage i.
-
-        Args:
-            x: positions, velocities, activations and the parts' own states, shape (N, nq + nv + na + k).
-        """
+    def _evaluate(self, bound: "_Bound", x: "_State", i: int) -> None:
+        """Sets the motors of a batch for its present state x, and the rates of stage i."""
         d, v = self._lengths(bound, x)
-        inputs, z = self._inputs(bound), x[:, self._own]
+        inputs, z = self._inputs(bound), x.own
         pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
         bound.controls[:, self._motors] = pulls[:, self._pulled]
         Batch.forward(bound.batch)
         if self._inertance is not None:
             self._accelerate(bound, self._inertance)
-        for rate, now in zip(self._parts[i], (x[:, self._velocities], bound.qacc, bound.act_dot, own), strict=True):
+        for rate, now in zip(self._parts[i], (x.velocities, bound.qacc, bound.act_dot, own), strict=True):
             rate[:] = now
 
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
@@ -179,6 +177,17 @@ def _span(indices: Sequence[int]) -> slice | Array:
     """Returns consecutive indices as a slice, which numpy reads and writes faster."""
     first, count = indices[0], len(indices)
     return slice(first, first + count) if list(indices) == [*range(first, first + count)] else np.array(indices)
+
+
+class _State:
+    """The state of N runs, shape (N, nq + nv + na + k): `all`, and views of its parts."""
+
+    def __init__(self, count: int, ends: Array) -> None:
+        """Takes the ends of qpos, qvel, act and the parts' own states."""
+        self.all = np.zeros((count, ends[-1]))
+        _, self.velocities, _, self.own = np.split(self.all, ends[:-1], axis=1)
+        self.motion = self.all[:, : ends[2]]
+        self.moved = self.all[:, : ends[1]].reshape(count, 2, -1).swapaxes(0, 1)  # qpos and qvel
 
 
 class _Bound:
@@ -247,11 +256,10 @@ class _Lengths:
                 mujoco.mj_forward(one, data[id(one)])
             self._constant = self._dense(np.array([data[id(one)].ten_J for one in models]))
 
-    def __call__(self, bound: _Bound, x: Array) -> tuple[Array, Array]:
+    def __call__(self, bound: _Bound, x: _State) -> tuple[Array, Array]:
         """Returns deflections [m] and velocities [m/s] at the present state x of a batch, shapes (N, s)."""
         if self.linear:
-            moved = x[:, : self._velocities.stop].reshape(len(x), 2, -1)  # qpos and qvel
-            d, v = np.matvec(self._constant, moved.swapaxes(0, 1))
+            d, v = np.matvec(self._constant, x.moved)
             return d, v
         Batch.forward(bound.batch, stage=AT_VELOCITIES)
         return bound.lengths[:, self._tendons] - self._rest, bound.speeds[:, self._tendons]

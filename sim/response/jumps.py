@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.vehicle.motion_ratios import MotionRatios
+from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 
 

@@ -173,7 +173,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         lift_off,
         ended,
         until,
-        cause or "RK4's own error",
+        cause or ("RK4's own error" if prediction.finer is None else "rounding"),
         steps=steps,
         commands=commands,
         code_effect=prediction.code_effect,

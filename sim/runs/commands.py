@@ -16,7 +16,8 @@ from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import forces_ahead, roundings
+from sim.linear.outputs import forces_ahead
+from sim.linear.sampled_response import roundings
 from sim.physics.actuators import closing_names
 from sim.physics.computer import driver_of, implementation_around, measurement_noise
 from sim.physics.driver import steps_ahead

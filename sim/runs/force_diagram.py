@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import Dash
 from models.kinds.signals import Signal
-from models.vehicle.motion_ratios import ratio_at
+from models.vehicle.suspension_forces import ratio_at
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 

@@ -5,7 +5,7 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -18,7 +18,6 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
-from sim.linear.stepped import SteppedRuns, forced, stepped
 from sim.response.response import Response
 from synth.controller.controller import AnyController, Controller, code_of
 from synth.controller.open_loop import LoopModel
@@ -139,10 +138,13 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
+    sampled, integrated, finer = _sampled(road, partial(sampled_response, loop, road), loop.controller)
     return Prediction(
         input=road,
         controller=loop.controller,
-        **_sampled(road, partial(sampled_response, loop, road), partial(stepped, [loop.controller], [road])),
+        sampled=sampled,
+        integrated=integrated,
+        finer=finer,
         continuous=continuous_response(loop, road),
         radius=loop.radius if small else math.nan,
         loop=loop,
@@ -172,17 +174,22 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
-    responses = _sampled(road, partial(forced_response, commands, road), partial(forced, commands, road))
+    sampled, integrated, finer = _sampled(road, partial(forced_response, commands, road), commands)
     continuous = forced_continuous_response(commands, road)
-    return Prediction(input=road, controller=controller, **responses, continuous=continuous, requested_force=requested)
+    return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested, finer=finer)
 
 
-def _sampled(road: RoadInput, linear: Callable[..., Response], by_steps: Callable[[], SteppedRuns]) -> Mapping[str, Response]:
-    """Returns `sampled` and `integrated` of a prediction, and with characteristics `finer`."""
+def _sampled(
+    road: RoadInput, linear: Callable[..., Response], driver: Controller | Array
+) -> tuple[Response, Response, Response | None]:
+    """Returns `sampled`, `integrated` and `finer` of a prediction, of a controller or of known commands."""
     if not road.vehicle.is_curved:
-        return {"sampled": linear(), "integrated": linear(exponential=taylor4)}
-    runs = by_steps()
-    return dict(zip(("sampled", "integrated", "finer"), (one := runs.single, one, runs.finer.run(0)), strict=True))
+        return linear(), linear(exponential=taylor4), None
+    from sim.linear.stepped import forced, stepped
+
+    runs = stepped([driver], [road]) if isinstance(driver, Controller) else forced(driver, road)
+    response = runs.single
+    return response, response, runs.finer.run(0)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:

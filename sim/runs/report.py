@@ -15,9 +15,9 @@ import numpy as np
 from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
+from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
-from models.vehicle.motion_ratios import ratio_notes
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import JOULES, Energy
 from sim.response.regime import (
@@ -191,7 +191,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         controller.text,
         *([claims(controller), certificate.own.words] if certificate.stable else []),
         *ideal_lines(vehicle, [controller]),
-        *ratio_notes(vehicle),
+        *ratio_notes(vehicle.kind, vehicle.parameters),
         *filter_lines(vehicle),
         *growth_lines(vehicle, controller),
         *controller_remarks(controller),
@@ -401,7 +401,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     signal, small = signals[worst], ""
     what, curved = run.prediction.reference, run.vehicle.is_curved
     if isinstance(run.controller, Programmed):
-        what = f"the exact {'nonlinear' if curved else 'linear'} response to the forces of the law"
+        what = f"the {'nonlinear' if curved else 'exact linear'} response to the forces of the law"
     size = DIFFERENCE.digits(signal.sampled)
     if signal.small is not None:
         small = f", and {DIFFERENCE.digits(signal.small)} at {SMALL:g} of this road's height{' and loads' * run.road.loaded}"

@@ -85,7 +85,7 @@ class RunResult:
 
     @property
     def sampled(self) -> Response:
-        """Exact response of the sampled loop: linear, except for characteristics."""
+        """Response of the sampled loop: exact if that is linear, with characteristics that of RK4."""
         return self.prediction.sampled
 
     @property

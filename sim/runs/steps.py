@@ -21,8 +21,7 @@ from models.common.arrays import Array
 from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
-from models.vehicle.motion_ratios import ratio_at
-from models.vehicle.suspension_forces import SuspensionForces
+from models.vehicle.suspension_forces import SuspensionForces, ratio_at
 from models.vehicle.vehicle import Vehicle
 from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.sampled_response import roundings

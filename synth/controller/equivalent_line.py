@@ -23,7 +23,7 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
-from models.vehicle.suspension_forces import force_effects
+from models.kinds.at_wheels import force_effects
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
@@ -66,7 +66,7 @@ def equivalent_line(
     placed = [one for one in vehicle.fitted if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.parameter for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
-    push, _ = force_effects(vehicle, [one.deflection for one in placed])
+    push, _ = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
     of_parameter = {one.parameter: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):

@@ -40,18 +40,23 @@ laws in Python                                                  649    708    10
 custom vehicle types                                            193    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1291    831    148
-    models/parts/{__init__,adjustable_dampers,damper,damper_range}.py models/laws/semi_active.py
-    models/vehicle/semi_active_coefficients.py sim/linear/{dampers,switched_response}.py sim/runs/dampers.py
+    models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
+    models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
 curves of dampers and springs, statistical linearisation       3064   2460     76
-    models/parts/{curve*,fitted_curves,measured_loop,motion_ratio,plausibility,surface*}.py
-    sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,piecewise_linear_steps}.py
-    sim/physics/surface_steps.py sim/runs/force_diagram.py synth/controller/equivalent_line.py
+    models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
+    models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
+    sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,stepped}.py
+    sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      542    237      0
-    models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
+    models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
+parts of a suspension                                             0      0      0
+    models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
+    models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
+    tests/support/mechanism.py tests/*/test_second_source_of_motion.py
 loads, links, tyre damping                                      744   1532     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py

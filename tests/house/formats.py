@@ -17,7 +17,7 @@ MOST = {  # formats in a folder: lower these, never raise them
     "models/kinds": 2,
     "models/laws": 2,
     "models/roads": 4,
-    "models/parts": 1,
+    "models/characteristics": 1,
     "synth/analysis": 4,
     "synth/command": 1,
     "synth/controller": 3,

@@ -203,10 +203,10 @@ def test_a_payload_has_inertia():
         sunk = float(settled.physics[name][-1])
         assert -sunk > 0.001  # each axle sinks, so that the signs are tested
         # relative to the sinking: the car's geometry, and what is left of the motion after 6 s
-        assert (stop.bump.stroke, stop.rebound.stroke) == pytest.approx((0.1 + sunk, 0.1 - sunk), abs=-0.01 * sunk)
+        assert (stop[0].stroke, stop[1].stroke) == pytest.approx((0.1 + sunk, 0.1 - sunk), abs=-0.01 * sunk)
     assert run(laden, "passive", Bump(height=0.05), duration=0.5)[0].passed
     corner = parse_vehicle(CORNER + "[payload]\nmass = 60.0\n")
-    assert corner.limits.stops(corner.kind.suspensions)["suspension_deflection"].bump.stroke == pytest.approx(
+    assert corner.limits.stops(corner.kind.suspensions)["suspension_deflection"][0].stroke == pytest.approx(
         0.07 - 60 * GRAVITY / 22000, rel=1e-12
     )  # rounding
 

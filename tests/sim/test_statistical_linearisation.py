@@ -85,7 +85,7 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
     shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
     shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
     controller, pulls = design(shaped, name), elements(shaped)
-    index = [shaped.linear_model.outputs.index(shaped.argument_of(one)) for one in shaped.fitted]
+    index = [shaped.linear_model.outputs.index(one.argument) for one in shaped.fitted]
 
     def of(extra, forces=None):
         softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}

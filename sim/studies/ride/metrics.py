@@ -40,7 +40,7 @@ from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
-from models.vehicle.motion_ratios import MotionRatios
+from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import readings_of_loads
 from sim.response.jumps import Jumps

@@ -56,28 +56,24 @@ def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
     return RoadWithLoads(bump, loads) if loads else bump
 
 
-def analysed(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the responses of the analysis with its curves and adjustable dampers: of each controller over its road.
+def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
+    """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
+    inputs = [RoadInput(vehicle, road, time) for road in roads]
+    if is_linear(vehicle, controller):
+        return sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
+    return stepped([controller] * len(inputs), inputs).response
 
-    Responses that are not linear are computed side by side, and so are those of one linear controller.
-    """
-    inputs, responses = [RoadInput(vehicle, road, time) for road in roads], dict[int, Response]()
-    alike = dict[int | None, list[int]]()
-    for i, controller in enumerate(controllers):
-        alike.setdefault(id(controller) if has_linear_response(vehicle, controller) else None, []).append(i)
-    for key, some in alike.items():
-        met, one = [inputs[i] for i in some], controllers[some[0]]
-        if key is None:
-            runs = stepped([controllers[i] for i in some], met).response
-        else:
-            runs = sampled_responses(LoopModel(vehicle, one, met[0].timestep), met)
+
+def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
+    """Returns the response of each controller over its road; those that are not linear are computed side by side."""
+    bent = [i for i, one in enumerate(controllers) if vehicle.is_curved or not is_linear(vehicle, one)]
+    responses = dict[int, Response]()
+    for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
+        runs = stepped([controllers[i] for i in some], [RoadInput(vehicle, roads[i], time) for i in some]).response
         responses |= {i: runs.run(k) for k, i in enumerate(some)}
-    return [responses[i] for i in range(len(inputs))]
-
-
-def has_linear_response(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the analysis is linear in the road: without curves and without adjustable dampers that switch."""
-    return not vehicle.is_curved and is_linear(vehicle, controller)
+    linear = [i for i in range(len(roads)) if i not in responses]
+    responses |= {i: analysed(vehicle, controllers[i], [roads[i]], time).run(0) for i in linear}
+    return [responses[i] for i in range(len(roads))]
 
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:

@@ -21,16 +21,7 @@ from sim.physics.simulate import simulate
 from sim.response.regime import END_NAMES
 from sim.response.response import Response
 from sim.runs.agreement import first_loose
-from sim.studies.validity.map_runs import (
-    AT_ONCE,
-    MapRun,
-    analysed,
-    driven,
-    has_linear_response,
-    largest_difference,
-    loaded,
-    shares,
-)
+from sim.studies.validity.map_runs import MapRun, analysed_each, driven, largest_difference, loaded, shares
 from synth.controller.controller import Controller
 
 WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
@@ -89,7 +80,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     if not below:
         return ends
     some = [controllers[i] for i, _ in below]
-    runs, analyses = simulate(some, inputs).response, _analyses(vehicle, some, [road.road for road in inputs], time)
+    runs, analyses = simulate(some, inputs).response, analysed_each(vehicle, some, [road.road for road in inputs], time)
     for k, (i, end) in enumerate(below):
         run, analysis = runs.run(k), analyses[k]
         until = first_loose(inputs[k], run)
@@ -147,7 +138,7 @@ def _predicted(
     searches = [_search(vehicle, *both, loads) for both in zip(controllers, bumps, strict=True)]
     results, roads = dict[int, Predicted](), {i: next(search) for i, search in enumerate(searches)}
     while roads:
-        responses = _analyses(vehicle, [controllers[i] for i in roads], [*roads.values()], time)
+        responses = analysed_each(vehicle, [controllers[i] for i in roads], [*roads.values()], time)
         for i, response in zip([*roads], responses, strict=True):
             try:
                 roads[i] = searches[i].send(response)
@@ -155,19 +146,6 @@ def _predicted(
                 results[i] = end.value
                 del roads[i]
     return [results[i] for i in range(len(searches))]
-
-
-def _analyses(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
-    """Returns the responses of the analysis: linear ones each alone, others side by side."""
-    linear = [i for i, one in enumerate(controllers) if has_linear_response(vehicle, one)]
-    others = [i for i in range(len(controllers)) if i not in linear]
-    chunks = [[i] for i in linear] + [others[k : k + AT_ONCE] for k in range(0, len(others), AT_ONCE)]
-    responses = dict[int, Response]()
-    for some in chunks:
-        responses |= zip(
-            some, analysed(vehicle, *([every[i] for i in some] for every in (controllers, roads)), time), strict=True
-        )
-    return [responses[i] for i in range(len(roads))]
 
 
 Predicted = tuple[Response, Array]  # a response, and the share of the way to each end per metre of height, shape (E,)

@@ -204,8 +204,9 @@ def _predicted(
     roads, done = list(members), 0
     for start in range(0, len(roads), AT_ONCE):
         some = roads[start : start + AT_ONCE]
-        for road, run in zip(some, analysed(vehicle, [controller] * len(some), some, time), strict=True):
-            mine = members[road]
+        responses = analysed(vehicle, controller, some, time)
+        for k, road in enumerate(some):
+            mine, run = members[road], responses.run(k)
             factors = heights[mine] if proportional else np.ones(1)
             both = [shares(vehicle, controller, replace(run, values=sign * run.values)) for sign in (1.0, -1.0)]
             used[mine] = np.abs(factors)[:, None] * np.where(factors[:, None] > 0, both[0], both[1])

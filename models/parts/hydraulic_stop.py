@@ -1,0 +1,52 @@
+"""Hydraulic bump stop: a spring beyond its stroke, and a damper that resists further compression the more, the deeper it is.
+
+With the compression x of the stop, which begins at its stroke, and its rate w while it grows,
+
+    F = x (k + c w).
+
+The hydraulic chamber gives no force as the stop opens.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.schema import SI, Section
+from models.parts.part import BUMP_STOP, Limit, Line, Part
+
+
+@dataclass(frozen=True)
+class HydraulicStop(Part, Section):
+    """Hydraulic bump stop on the side of bump."""
+
+    contact: ClassVar[bool] = True
+
+    stroke: Annotated[float, SI("m", "travel from equilibrium to the stop", 1e-4, 2.0)]
+    stiffness: Annotated[float, SI("N/m", "k, stiffness of the stop")]
+    damping: Annotated[float, SI("N s/m2", "c, damping per compression, while the compression grows", 0.0)]
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`."""
+        compression = np.maximum(-d - self.stroke, 0.0)
+        return -compression * (self.stiffness + self.damping * np.maximum(-v, 0.0))
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`."""
+        return self.stiffness * np.square(np.maximum(-d - self.stroke, 0.0)) / 2
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.line`: the stop does not touch at rest."""
+        return Line()
+
+    def limits(self) -> Sequence[Limit]:
+        """Returns the stroke."""
+        return (Limit(BUMP_STOP, "deflection", -1.0, self.stroke),)
+
+    @property
+    def words(self) -> str:
+        """See `Part.words`."""
+        return f"a hydraulic bump stop at {-self.stroke:g} m"
