@@ -192,7 +192,7 @@ ROWS = {
         ),
     ),
     "adjustable damper": Row(
-        "adjustable damper", "input", lambda s, e: f"c_min = {LOW * s}\nc_max = {HIGH * s * e}\nbandwidth = 90.0",
+        "adjustable damper", "input", lambda s, e: f"c_min = {LOW * s}\nc_max = {HIGH * s * e}\nbandwidth = {90.0 * s}",
         lambda d, v, u: u * v, line=(9.0, 9.0),
         known=(  # c v, with 400 N s/m without a command
             '[actuators]\nkind = "damper"\nc_min = 100.0\nc_max = 4000.0',
