@@ -16,7 +16,7 @@ from functools import cache, cached_property, partial
 import mujoco
 import numpy as np
 import pytest
-from scipy.integrate import cumulative_simpson, solve_ivp
+from scipy.integrate import cumulative_simpson
 from scipy.interpolate import make_interp_spline
 
 from models.parts.part import Part
@@ -32,7 +32,7 @@ from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
 from synth.vehicle.designer import driver_of
 from tests.support.commands import attacks
-from tests.support.mechanism import CORNERS, G, Mechanism, axle, rk4
+from tests.support.mechanism import CORNERS, Mechanism, acting, axle, integrated, rk4, static_loads
 
 EXACT, FAULT = 1e-12, 1.02
 SPRING, DAMPER = 25e3, 1800.0  # N/m, N s/m of suspensions without curves
@@ -303,26 +303,14 @@ def own_law(names: tuple[str, ...], d, v, u):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Law:
-    """The force of a suspension at its wheel.
-
-    Attributes:
-        load: static load [N].
-    """
+    """The force of a suspension at its wheel, which carries a static load [N]."""
 
     kind: str
     names: tuple[str, ...]
     ratio: str
     end: str
+    load: float
     size: float = 1.0
-
-    @cached_property
-    def load(self) -> float:
-        p = read_vehicle(self.kind).parameters
-        if not self.end:
-            return p["sprung_mass"] * G
-        front, rear = p["axle_distance_front"], p["axle_distance_rear"]
-        share = (rear if "front" in self.end else front) / (front + rear)
-        return p["sprung_mass"] * G * share / (2 if "roll_inertia" in p else 1)
 
     @cached_property
     def ratios(self):
@@ -344,7 +332,8 @@ class Law:
 
 
 def laws(kind, names, ratio, size=1.0) -> list[Law]:
-    return [Law(kind, names, ratio, end, size) for end in CORNERS[kind]]
+    loads = static_loads(read_vehicle(kind))
+    return [Law(kind, names, ratio, end, load, size) for end, load in zip(CORNERS[kind], loads, strict=True)]
 
 
 def motions(count: int = 400):
@@ -540,20 +529,6 @@ def driven(kind, names, ratio, fault=1.0, h=H) -> tuple[RoadInput, PhysicsRuns]:
     return on, simulate([held(kind)], [on])
 
 
-def acting(on: RoadInput, run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inputs at the samples, what is commanded over the steps, and rates of lags [1/s], shapes (T, c), (T - 1, c) and (c,).
-
-    Inputs are forces of actuators, or coefficients beyond the nominal ones. RK4 turns a lag of rate w into the factor R(w h).
-    """
-    of = {one.force: (one.coefficient, one.nominal, one.damper.bandwidth or 0.0) for one in on.vehicle.adjustable}
-    usual = on.vehicle.limits.actuator_bandwidth or 0.0
-    names = [of.get(place.force, (place.force, 0.0, usual)) for place in on.vehicle.kind.suspensions]
-    u, lag = np.stack([run[name] - nominal for name, nominal, _ in names], axis=-1), np.array([one[2] for one in names])
-    a = lag * on.timestep
-    gone = 1 - np.polyval([1 / 24, -1 / 6, 1 / 2, -1.0, 1.0], a)
-    return u, u[:-1] + np.diff(u, axis=0) / np.where(lag, gone, np.inf), lag
-
-
 @every
 def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
     """Each step of MuJoCo is one RK4 step of masses, lengths and the written laws, over a bump that reaches all of a law."""
@@ -585,46 +560,17 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
 HARDEST = [case for case in SINGLE if case[1] == "over travel" or case == (("adjustable damper",), "constant")]
 
 
-def integrated(on: RoadInput, law: Law, u, commands, lag) -> np.ndarray:
-    """Deflections of suspension and tyre of a quarter-car, shape (T, 2), by DOP853, started again wherever a law has a knot.
-
-    Road and commands are held over each step, as MuJoCo has them; inputs follow with their lag.
-    """
-    p, h, rows = on.vehicle.parameters, on.timestep, [ROWS[name] for name in law.names]
-    static = (p["sprung_mass"] + p["unsprung_mass"]) * G / p["tyre_stiffness"]
-
-    def rate(since, x):
-        held = to + (begin - to) * np.exp(-lag[0] * since)
-        f, t = float(law(x[0] - x[1], x[2] - x[3], held)), x[1] - road
-        return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"]]
-
-    events = [lambda _, x: x[1] - road - static]
-    events += [lambda _, x, k=k: law.travel(x[0] - x[1])[1] - k for row in rows for k in row.d]
-    events += [lambda _, x, k=k: law.travel(x[0] - x[1])[0] * (x[2] - x[3]) - k for row in rows for k in row.v]
-    events += [lambda _, x, k=k: x[0] - x[1] - k for k in ratios_at(law.ratio, law.end)[0]] if law.ratio == "over travel" else []
-    for event in events:
-        vars(event)["terminal"] = True
-    x, found = np.zeros(4), []
-    for k in range(len(u)):
-        road, begin, to = on.midway[k, 0], u[k, 0], commands[min(k, len(commands) - 1), 0]
-        found.append([x[0] - x[1], x[1] - on.heights[k, 0]])
-        at = 0.0
-        while at < h and k < len(u) - 1:
-            step = solve_ivp(rate, (at, h), x, "DOP853", rtol=1e-11, atol=1e-14, events=events)
-            x, at = step.y[:, -1], float(step.t[-1])
-            past = min(1e-6 * h, h - at)  # on past the knot
-            x, at = x + past * np.array(rate(at, x)), at + past
-    return np.array(found)
-
-
 @pytest.mark.parametrize(("names", "ratio"), [*HARDEST, *attacks(case for case in SINGLE if case not in HARDEST)], ids=label)
 def test_a_run_is_an_independent_integration(names, ratio):
     """A quarter-car moves as its laws by an integration to 1e-11, but for RK4's error: h^4, or h^2 where a law has a knot."""
-    errors = []
+    (law,), errors = laws("quarter_car", names, ratio), []
+    knots = [lambda d, v, k=k: law.travel(d)[1] - k for name in names for k in ROWS[name].d]
+    knots += [lambda d, v, k=k: law.travel(d)[0] * v - k for name in names for k in ROWS[name].v]
+    knots += [lambda d, v, k=k: d - k for k in TRAVEL if ratio == "over travel"]
     for h in (4e-3, 2e-3):
         on, physics = driven("quarter_car", names, ratio, h=h)
         run = physics.run(0)
-        expected = integrated(on, laws("quarter_car", names, ratio)[0], *acting(on, run))
+        expected = integrated(on, law, knots, *acting(on, run))
         found = np.stack([run["suspension_deflection"], run["tyre_deflection"]], axis=-1)
         errors.append(float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max()))
     assert errors[0] < 2e-3
