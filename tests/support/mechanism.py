@@ -38,6 +38,17 @@ def jacobian(f, q):
     return np.stack([np.imag(f(q + 1j * STEP * row)) / STEP for row in np.eye(q.shape[1])], axis=-1)
 
 
+def straight(x, force) -> Callable:
+    """Lines between the points of a table, and on beyond them."""
+    x, force = np.array(x), np.array(force)
+    slopes = np.diff(force) / np.diff(x)
+
+    def of(at):
+        return np.interp(at, x, force) + slopes[0] * np.minimum(at - x[0], 0.0) + slopes[-1] * np.maximum(at - x[-1], 0.0)
+
+    return of
+
+
 def rk4(rate, x, h):
     """Returns the states after one step of h, by the classical Runge-Kutta method."""
     k1 = rate(x)
