@@ -40,6 +40,11 @@ class Element:
         """The element with its line alone; itself if it is a contact."""
         return self if self.part.contact else replace(self, part=Straight(self.part.line))
 
+    def with_slope(self, slope: float, damps: bool) -> "Element":
+        """Returns the element with another slope of its line [N s/m or N/m], over velocity or over deflection."""
+        line = replace(self.part.line, damping=slope) if damps else replace(self.part.line, stiffness=slope)
+        return replace(self, part=Straight(line))
+
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
         """Numbers that a campaign may sample, each with its unit and range, by `NAME.key`."""

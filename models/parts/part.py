@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from models.parts.native import Tendon
 
 Quantity = Literal["deflection", "velocity", "force"]
+POINTS = 401  # of a drawn curve, rest among them
 STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
 CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
@@ -81,6 +82,7 @@ class Part(ABC):
     inputs: ClassVar[int] = 0
     inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
+    reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
@@ -126,7 +128,7 @@ class Part(ABC):
     @property
     def range(self) -> float:
         """The largest force that it is made for, either way [N]; infinite if this is unknown."""
-        return np.inf
+        return np.inf if self.curve is None else self.curve.range
 
     @property
     def acts(self) -> bool:
@@ -142,10 +144,17 @@ class Part(ABC):
         """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.bent and np.isfinite(self.range) else ()
 
-    @property
+    @cached_property
     def curve(self) -> "ForceCurve | None":
-        """The force over velocity or deflection alone; None if it depends on more, or is drawn otherwise."""
-        return None
+        """The force over its only argument, at `POINTS` up to `reach`; None if it depends on more, or has no reach."""
+        if self.argument is None or not np.isfinite(self.reach):
+            return None
+        from models.characteristics.curve import ForceCurve
+
+        x, line = np.linspace(-self.reach, self.reach, POINTS), self.line
+        force = self.pull(*((0 * x, x) if self.argument == "velocity" else (x, 0 * x)))
+        slope = line.damping if self.argument == "velocity" else line.stiffness
+        return ForceCurve(x, force, float(slope), self.words)
 
     def at_wheel(self, ratio: float) -> "Part | None":
         """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
@@ -191,12 +200,19 @@ class SuspensionPart:
         part: the part at the wheel.
         parameter: parameter of the vehicle that is the part's line; empty for an element without one.
         ratio: motion ratio at rest.
+        element: name of its section of `[parts]`; empty for a part of another section.
     """
 
     place: "Suspension"
     part: Part
     parameter: str
     ratio: float
+    element: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its parameter, or the name of its section of `[parts]`."""
+        return self.parameter or self.element
 
     @property
     def deflection(self) -> str:

@@ -35,14 +35,15 @@ def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]
     for place in kind.suspensions:
         classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
         own = [one for each in classes for one in each.of(vehicle, place)]
-        own += [(one.part, "") for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
-        for part, parameter in own:
+        rows = [(part, parameter, "") for part, parameter in own]
+        elements = [one for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
+        for part, parameter, name in [*rows, *((one.part, "", one.name) for one in elements)]:
             ratio = place.motion_ratio(vehicle.parameters)
             if (table := kind.table_of(place)) is None:
                 at_wheel = part.at_wheel(ratio) or AtRatio(part, Constant(), ratio)
-                placed.append(SuspensionPart(place, at_wheel, parameter, ratio))
+                placed.append(SuspensionPart(place, at_wheel, parameter, ratio, name))
                 continue
             carries = bool(parameter) and parameter == place.stiffness
             load = kind.static_loads(vehicle.parameters)[place.deflection] if carries else 0.0
-            placed.append(SuspensionPart(place, AtRatio(part, table, ratio / table.at_rest, load), parameter, ratio))
+            placed.append(SuspensionPart(place, AtRatio(part, table, ratio / table.at_rest, load), parameter, ratio, name))
     return tuple(placed)

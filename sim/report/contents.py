@@ -243,7 +243,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
             {f"[implementation] {name}": value for name, value in built.items() if value is not None}
             or {"[implementation]": "none"}
         ),
-        **{f"[curves] {one.parameter}": one.curve.words for one in vehicle.fitted},
+        **{f"[curves] {one.name}": one.curve.words for one in vehicle.fitted},
         **dampers,
     }
     given = tuple((name, value if isinstance(value, str) else f"{value:g}") for name, value in settings.items())

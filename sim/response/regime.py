@@ -127,7 +127,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
         apart = np.abs(fitted.part.beyond(d, v)).max(initial=0.0) / fitted.part.range
-        shares[fitted.parameter] = max(shares.get(fitted.parameter, 0.0), float(apart))
+        shares[fitted.name] = max(shares.get(fitted.name, 0.0), float(apart))
     return shares
 
 

@@ -84,9 +84,9 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     signal = vehicle.kind.signal(one.argument)
     actuator = one.place.force
     damper = one.damps
-    pushed = damper and actuator in vehicle.linear_model.inputs
+    pushed = damper and not one.element and actuator in vehicle.linear_model.inputs
     words = signal.name.replace("_", " ")
-    what, ending = "damper" if damper else "spring", _ending(one.deflection)
+    what, ending = one.element or ("damper" if damper else "spring"), _ending(one.deflection)
 
     def pull(x: Array, response: Response) -> Array:
         return one.part.pull(response[one.deflection], x) if damper else one.part.pull(x, np.zeros_like(x))
@@ -95,7 +95,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
         return ratio_at(vehicle, actuator, response[one.deflection])
 
     return Diagram(
-        f"{one.parameter.replace('_', ' ')}, {words}",
+        f"{one.name.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
         _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
         _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),

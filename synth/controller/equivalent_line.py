@@ -63,16 +63,24 @@ def equivalent_line(
         deviations: function of a linear vehicle and names of signals that returns their standard deviations over the road, shape
             (k,), or None for an unstable loop.
     """
+    bent = [one for one in vehicle.parts if one.part.bent and not (one.part.contact or one.part.inputs)]
+    if any(one.part.curve is None for one in bent):
+        return None
     placed = [one for one in vehicle.fitted if one.curve.bent]
-    signals, names = [one.argument for one in placed], [one.parameter for one in placed]
+    signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     push, _ = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
-    of_parameter = {one.parameter: one for one in placed}
+    by_name = {one.name: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        of_elements = {name: (shared[name] - one.part.line.of_preload) / one.ratio**2 for name, one in of_parameter.items()}
-        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_elements})
+        own = {name: (shared[name] - one.part.line.of_preload) / one.ratio**2 for name, one in by_name.items()}
+        of_parameters = {name: slope for name, slope in own.items() if by_name[name].parameter}
+        elements = tuple(
+            one.with_slope(own[one.name], by_name[one.name].damps) if one.name in own else one
+            for one in vehicle.linearised.elements
+        )
+        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **of_parameters}, elements=elements)
         spreads = deviations(linear, signals + travels)
         if spreads is None:
             return None

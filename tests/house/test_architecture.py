@@ -94,7 +94,8 @@ REACHES = {
     "synth.controller": "models.common models.characteristics models.document models.kinds models.laws models.parts "
     "models.vehicle synth.analysis synth.plant",
     "sim.inspect": "models.common models.characteristics models.document models.kinds models.laws models.roads models.parts "
-    "models.vehicle synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs sim.studies",
+    "models.vehicle synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs "
+    "sim.studies",
 }
 
 # Who may import what is heavy, or replaceable.

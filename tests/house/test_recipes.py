@@ -123,6 +123,48 @@ def test_add_a_key(tmp_path):
     ], run.stderr
 
 
+def test_add_a_force_element(tmp_path):
+    """The recipe's file and line alone make an element: read and documented, right in MuJoCo, verdict, energy and expectation."""
+    recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a force element")
+    file, line = recipe.blocks("python")
+    for folder in ("models", "synth", "sim", "tests", "docs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    (tmp_path / "models" / "parts" / "cubic_damper.py").write_text(file, encoding="utf-8")
+    path = tmp_path / "models" / "parts" / "registry.py"
+    source = path.read_text(encoding="utf-8")
+    path.write_text(source.replace("PARTS = {", f"PARTS = {{\n{line}", 1), encoding="utf-8", newline="\n")
+    code = """if True:
+        from docs.generate import key_sections
+        from models import Bump, parse_vehicle, read_vehicle
+        from models.common.errors import InputError
+        from models.vehicle.file_schema import file_schema
+        from sim import run
+
+        text = '[parts.valve]\\nkind = "cubic_damper"\\ndamping = 300\\ncubic = 2000\\n'
+        for kind in ("quarter_car", "full_car"):
+            car = parse_vehicle(read_vehicle(kind).text + "\\n" + text)
+            stiff = parse_vehicle(read_vehicle(kind).text + "\\n" + text.replace("2000", "2100"))
+            ((one,), (other,)) = (run(each, "I", Bump(height=0.05), duration=0.3) for each in (car, stiff))
+            print(one.passed, one.agreement.steps.error < 1e-11, abs(one.physics.values - other.physics.values).max() > 1e-5)
+        try:
+            parse_vehicle(read_vehicle("quarter_car").text + "\\n" + text.replace("300", "-1"))
+        except InputError as error:
+            print(error)
+        print(*[row for row in key_sections()['[parts.NAME] with kind = "cubic_damper"'] if row[0] == "damping"])
+        print(file_schema("half_car")["properties"]["parts"]["additionalProperties"]["anyOf"][0]["properties"]["kind"])
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True
+    )
+    assert run.stdout.splitlines() == [
+        "True True True",
+        "True True True",
+        "[parts.valve] damping = -1 is not allowed; give a number from 1e-06 to 1e+12 N s/m",
+        "('damping', 'N s/m', 'c, damping at low velocity')",
+        "{'const': 'cubic_damper'}",
+    ], run.stderr
+
+
 def test_recipes_name_what_there_is():
     """Every file that a recipe names is there, and every name of code stands in the code."""
     named = set(re.findall(r"`([\w./]+)`", page(".github/CONTRIBUTING.md")))

@@ -15,6 +15,7 @@ from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, 
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
+from models.parts.element import Place, element_kinds
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
@@ -38,6 +39,9 @@ CONTEXT = {
     "parameters": {"sprung_mass": "1"}, "loads": {"heave_load": "N"}, "outputs": ["sprung_velocity", "tyre_deflection"],
 }  # fmt: skip
 IN_PYTHON = [*OBSTACLES.values(), *LOADS.values(), Iso8608]  # which also check themselves
+ELEMENTS = {
+    one: {key: max(each.low, 1.0) for key, each in keys(one).items() if isinstance(each, SI)} for one in element_kinds().values()
+}
 SECTIONS = {  # each with a table that is right
     ImplementationSection: {"sample_period": 0.01},
     LimitsSection: {"actuator_force": 100.0},
@@ -57,6 +61,8 @@ SECTIONS = {  # each with a table that is right
     SurfaceTable: {"velocity": [-1.0, 1.0], "deflection": [-0.1, 0.1], "force": [[-9.0, -8.0], [9.0, 8.0]]},
     RatioSection: {"deflection": [-0.1, 0.1], "ratio": [0.6, 0.7]},
     VehicleFile: {"type": "quarter_car", "parameters": {}, "performance": {}},
+    Place: {"kind": "hydraulic_stop"},
+    **ELEMENTS,
     FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
     WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},
     CampaignFile: {"vehicles": ["quarter_car"], "controllers": ["passive"], "roads": ["bump"], "speeds": [10.0]},

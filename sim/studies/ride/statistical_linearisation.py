@@ -35,7 +35,7 @@ than `SHARP` of a force's variance, accelerations follow from the line alone, wi
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
@@ -53,6 +53,9 @@ from synth.controller.controller import Controller
 from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 from synth.controller.open_loop import LoopModel, continuous
 from synth.plant.quadrature import sample_band
+
+if TYPE_CHECKING:
+    from models.parts.part import SuspensionPart
 
 DEGREES = (2, 3, 4)  # of the Hermite polynomials included
 COUNT = 4096  # frequencies
@@ -289,7 +292,7 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
-    record, usual = line_object(vehicle, line), vehicle.parameters
+    record, usual = line_object(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.fitted}
     slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
     slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.fitted)
@@ -310,12 +313,20 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     ]
 
 
+def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
+    """Returns the slope at rest of a part of a vehicle in the part's own travel [N s/m or N/m]."""
+    if one.parameter:
+        return vehicle.parameters[one.parameter]
+    line = next(each.part.line for each in vehicle.elements if each.name == one.element)
+    return float(line.damping if one.damps else line.stiffness)
+
+
 def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
     """Returns the equivalent line for JSON, in SI units."""
-    names = dict.fromkeys(one.parameter for one in vehicle.fitted if one.curve.bent)
+    bent = {one.name: one for one in vehicle.fitted if one.curve.bent}
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
-        "slopes": {name: line.vehicle.parameters[name] for name in names},
+        "slopes": {name: _slope(line.vehicle, one) for name, one in bent.items()},
         "mean": {name: line.mean.get(name, 0.0) for name in travels},
         "rounds": line.rounds,
         "second_order": line.remainder is not None,
