@@ -9,7 +9,6 @@ All derivatives are complex steps, exact to rounding. Forces of suspensions are 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -25,6 +24,7 @@ CORNERS = {
     "half_car": ("_front", "_rear"),
     "full_car": tuple(f"_{axle}_{side}" for axle in ("front", "rear") for side in ("left", "right")),
 }
+Number = np.ndarray | float
 Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (d, v, u), each (T, c) -> pulls at the wheels (T, c)
 
 
@@ -64,19 +64,12 @@ def static_loads(vehicle: Vehicle) -> np.ndarray:
     return p["sprung_mass"] * G * reach / reach.sum()
 
 
-@dataclass(frozen=True, eq=False)
 class Mechanism:
-    """Car of c corners whose body has k of heave, pitch and roll.
+    """Car of c corners whose body has k of heave, pitch and roll."""
 
-    Attributes:
-        forces: forces at the wheels, all of a suspension but the load that it carries at rest.
-    """
-
-    vehicle: Vehicle
-    forces: Forces
-
-    def __post_init__(self):
-        p, corners = self.vehicle.parameters, CORNERS[self.vehicle.kind.name]
+    def __init__(self, vehicle: Vehicle, forces: Forces) -> None:
+        """Takes the forces at the wheels: all of a suspension but the load that it carries at rest."""
+        p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
 
         def each(name):
             return np.array([p.get(f"{name}{axle(end)}", 0.0) for end in corners])
@@ -84,7 +77,7 @@ class Mechanism:
         wide = [p.get(f"track{axle(end)}", p.get("track", 0.0)) / 2 for end in corners]
         x = each("axle_distance") * [-1 if "rear" in end else 1 for end in corners]
         y = np.array(wide) * [1 if "left" in end else -1 for end in corners]
-        mass, at, load = p["sprung_mass"], {"_front": x.max(), "_rear": -x.min()}, static_loads(self.vehicle)
+        mass, at, load = p["sprung_mass"], {"_front": x.max(), "_rear": -x.min()}, static_loads(vehicle)
         arms, rolls = [0.0, 0.0], "roll_centre_height_front" in p
         if pitches := "pitch_centre_height" in p:
             arms[0] = p["centre_height"] - p["pitch_centre_height"]
@@ -98,10 +91,9 @@ class Mechanism:
                     (k, np.array([np.sign(b) / (2 * abs(b)) * (axle(one) == end) for one, b in zip(corners, y, strict=True)]))
                 )
         inertia = [p[name] for name in ("pitch_inertia", "roll_inertia") if name in p]
-        vars(self).update(
-            x=x, y=y, mass=mass, load=load, arms=arms, bars=bars, inertia=inertia, k=1 + len(inertia), c=len(corners),
-            guided=rolls or pitches, unsprung=each("unsprung_mass"), tyre=each("tyre_stiffness"), rubber=each("tyre_damping"),
-        )  # fmt: skip
+        self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
+        self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
+        self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
 
     def angles(self, q):
         """Returns pitch and roll, shapes (T,)."""
@@ -141,7 +133,7 @@ class Mechanism:
             d = (along**2 + across**2) / (length + STRUT + rise) + rise  # length - STRUT, without its rounding
         return np.concatenate([d, hubs, *(phi - (hubs @ arm)[:, None] for _, arm in self.bars)], axis=1)
 
-    def rate(self, x, heights, u=0.0, velocities=0.0, loads=0.0):
+    def rate(self, x, heights, u: Number = 0.0, velocities: Number = 0.0, loads: Number = 0.0):
         """Returns x' of states x = (q, q'), shape (T, 2 n).
 
         Args:
@@ -168,7 +160,7 @@ class Mechanism:
         still, unit = np.zeros((2 * n, 2 * n)), np.eye(c)
 
         def slope(f, h):
-            return sum(w * (f(i * h) - f(-i * h)) / h for i, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))).T
+            return np.sum([w * (f(i * h) - f(-i * h)) / h for i, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))], axis=0).T
 
         A = slope(lambda e: self.rate(e * np.eye(2 * n), 0.0), 2e-3)
         Br, B, Bw = (
