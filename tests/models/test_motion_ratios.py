@@ -25,6 +25,7 @@ from sim.studies.stability.robustness import _with_factors, read_variations, rob
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
 from tests.support.commands import main_of, prose
+from tests.support.mechanism import straight
 
 CORNERS = {
     "quarter_car": ("",),
@@ -150,6 +151,35 @@ def test_a_ratio_that_is_off_by_two_percent_is_found(kind, sort, name):
 def assert_found(clean: Run, other: Vehicle) -> None:
     made = simulate([clean.controller], [RoadInput(other, clean.road, clean.physics.time)])
     assert not compare_runs([clean.prediction], made)[0].agrees
+
+
+@pytest.mark.parametrize("sort", ["dampers", "measured"])
+@pytest.mark.parametrize("turning", [False, True], ids=["constant", "over travel"])
+def test_a_damper_is_set_by_its_own_velocity(sort, turning):
+    """The coefficient is the nearest one to c_s - u* / h(r v), with the numbers of the file."""
+    text = (over_travel("quarter_car", sort) if turning else car("quarter_car", sort)).text.replace("bandwidth = 200.0", "")
+    run = driven(parse_vehicle(text), "held", "bump:height=0.05")
+    body, wheel, d = (run.physics[name] for name in ("sprung_velocity", "unsprung_velocity", "suspension_deflection"))
+    v = (ratio_at(d) if turning else RATIOS[""]) * (body - wheel)
+    shape, low, high = v, 600.0, 4000.0
+    if sort == "measured":
+        (soft, low), (hard, high) = (
+            (straight(*one.values())(v), (one["force"][3] - one["force"][1]) / 0.2) for one in (SOFT, HARD)
+        )
+        shape = (hard - soft) / (high - low)
+    moving = np.abs(v) > 1e-4
+    expected = np.clip(1800.0 + 1200.0 * body[moving] / shape[moving], low, high)
+    np.testing.assert_allclose(run.physics["damping"][moving], expected, rtol=1e-9)
+    assert {low, high} < {*expected}
+
+
+def test_work_and_contacts_are_those_at_the_wheel():
+    """Metrics of actuators' work and of stops are those of the car with these elements at its wheel."""
+    runs = [driven(car("quarter_car", "curves", on_arm), "held", "iso8608:class=E") for on_arm in (True, False)]
+    ours, theirs = (measure(run.vehicle, run.physics, 0) for run in runs)
+    own = [key for key in ours if "control_power" in key or "control_energy" in key or "at_stops" in key]
+    assert len(own) > 2
+    assert [ours[key] for key in own] == pytest.approx([theirs[key] for key in own], rel=1e-9, abs=1e-9)
 
 
 def test_ratios_are_sampled_side_by_side():
