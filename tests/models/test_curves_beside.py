@@ -9,13 +9,12 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import parse_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.models.test_semi_active_dampers import BUMP, DAMPER, LATE, QUARTER, check_physics
-from tests.support.commands import attacks, refused
+from tests.models.test_semi_active_dampers import BUMP, DAMPER, QUARTER
+from tests.support.commands import refused
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE
 
 LINE = "velocity = [-1.0, 0.0, 1.0], force = [-1000.0, 0.0, 1000.0]"
 FRICTION = f"{{ {LINE}, friction = 60.0, friction_velocity = 0.02 }}"
-LAWS = "".join(f'[controllers.{name}]\nsemi_active = "{name}"\n' for name in ("skyhook", "add", "hybrid", "pdd"))
 
 
 def with_tables(text, **curves):
@@ -24,7 +23,6 @@ def with_tables(text, **curves):
     return "\n".join([*lines, "[curves]", *(f"{name} = {table}" for name, table in curves.items()), ""])
 
 
-SPRING = with_tables(QUARTER, suspension_stiffness=PROGRESSIVE)
 ROUGH = with_tables(QUARTER, suspension_stiffness=PROGRESSIVE, suspension_damping=FRICTION)
 
 
@@ -34,17 +32,6 @@ def runs(text, *names, road=BUMP, duration=1.0):
     laws = {name: entry.semi_active for name, entry in vehicle.controllers.items() if entry.semi_active}
     controllers = [SemiActive(name, laws[name]) if name in laws else Designer(vehicle).design(name) for name in names]
     return run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, 1e-3))
-
-
-@pytest.mark.parametrize(
-    ("text", "more"),
-    [(SPRING, "bandwidth = 100.0\n" + LATE), *attacks([(SPRING, ""), (ROUGH, "bandwidth = 100.0\n" + LATE)])],
-    ids=["spring, both", "spring", "friction, both"],
-)
-def test_runs_agree(text, more):
-    """A knot of a curve that is crossed within a step is integrated as RK4 does, and the dampers only dissipate energy."""
-    for run in runs(text + LAWS + DAMPER + more, "passive", "leaky", "pdd", duration=0.3):
-        check_physics(run)
 
 
 def test_what_would_feed_energy_in():

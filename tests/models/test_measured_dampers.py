@@ -6,22 +6,16 @@
 import itertools
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.physics.driver import RecordedForces
-from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from synth.vehicle.designer import Designer
-from tests.models.test_curves_beside import FRICTION, ROUGH, runs, with_tables
-from tests.models.test_semi_active_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER, check_physics
-from tests.support.analysed import simulate
+from tests.models.test_curves_beside import runs, with_tables
+from tests.models.test_semi_active_dampers import BOTH, DAMPER, LATE, QUARTER, check_physics
 from tests.support.commands import attacks, refused
 
 SOFT = "{ velocity = [-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], force = [-700, -380, -120, 0, 130, 420, 800] }"
@@ -35,31 +29,6 @@ TABLES = [[float(x) for x in text.replace("]", "[").split("[")[i].split(",")] fo
 def table(number, v):
     """A curve at velocities within it, from its points as they stand in the file: the softest is 0, the firmest 1."""
     return np.interp(v, TABLES[2 * number], TABLES[2 * number + 1])
-
-
-def test_mujoco_pulls_as_the_tables_say():
-    """At any velocity and setting MuJoCo's suspension pulls with the share of both tables that is set, friction beside it."""
-    text = with_tables(QUARTER, suspension_damping=FRICTION) + PAIR
-    for vehicle, rough in ((parse_vehicle(QUARTER + PAIR), 0.0), (parse_vehicle(text), 60.0)):
-        model = build_model(vehicle, 1e-3)
-        data, (one,) = mujoco.MjData(model), vehicle.adjustable
-        assert one.damper.pair is not None
-        ramps, body = len(one.damper.pair.ramps), model.joint("sprung").dofadr[0]
-        rng, spring = np.random.default_rng(0), vehicle.parameters["suspension_stiffness"]
-        for _ in range(200):
-            v, share = float(rng.uniform(-1.4, 1.4)), float(rng.uniform(0.0, 1.0))
-            if abs(v) < 0.12:
-                continue  # where friction has not come to its full force
-            data.qpos[:], data.qvel[:] = 0.0, 0.0
-            data.qvel[body] = v
-            data.ctrl[0] = data.ctrl[-ramps:] = one.low + share * (one.high - one.low)
-            mujoco.mj_forward(model, data)
-            moving = data.qfrc_actuator + data.qfrc_passive
-            data.qvel[:] = 0.0
-            mujoco.mj_forward(model, data)
-            pull = float((data.qfrc_actuator + data.qfrc_passive - moving)[body])
-            expected = (1 - share) * table(0, v) + share * table(1, v) + rough * np.sign(v)
-            assert pull == pytest.approx(expected, abs=1e-6 * spring)  # rounding of lengths of a metre
 
 
 BUILT = {"": "", "lag": "bandwidth = 100.0\n", "late": LATE}
@@ -78,41 +47,6 @@ def test_runs_agree(name, more):
     """Every step over the knots of both curves is that of RK4 to rounding, and the damper dissipates energy at every sample."""
     (run,) = runs(QUARTER + LAWS + PAIR + more, name, duration=0.35)
     check_physics(run)
-
-
-@pytest.mark.parametrize("bandwidth", [80.0, *attacks([None])])
-def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
-    """With random settings, MuJoCo's motion is that of (28) with all tables, friction and lag, as SciPy integrates it."""
-    vehicle = parse_vehicle(ROUGH + PAIR + (f"bandwidth = {bandwidth}\n" if bandwidth else ""))
-    (one,) = vehicle.adjustable
-    time, rng, p = sample_times(vehicle, 0.15, 1e-3), np.random.default_rng(3), vehicle.parameters
-    shares = np.repeat(rng.uniform(0.0, 1.0, 26), 10)[: len(time)]
-    nominal, wide = -one.low / (one.high - one.low), one.high - one.low
-    made = np.stack([one.low + wide * shares, np.zeros(len(time))], axis=-1)
-    physics = simulate([vehicle], [RecordedForces((), made)], [BUMP], time).run(0)
-    spring, line = (placed.curve for placed in parse_vehicle(ROUGH).fitted)  # friction lies on a line of 1000 N s/m
-    h, rate = float(time[1]), bandwidth or 0.0
-
-    def motion(t, x, z_r, asked):
-        z_s, z_u, v_s, v_u, share = x
-        v, now = v_s - v_u, share if rate else asked
-        pull = np.interp(z_s - z_u, spring.x, spring.force) + np.interp(v, line.x, line.force) - 1000.0 * v
-        pull += (1 - now) * table(0, v) + now * table(1, v)
-        tyre = p["tyre_stiffness"] * (z_u - z_r)
-        return [v_s, v_u, -pull / p["sprung_mass"], (pull - tyre) / p["unsprung_mass"], rate * (asked - share)]
-
-    x, states, most = np.array([0.0, 0.0, 0.0, 0.0, nominal]), [], np.zeros(2)
-    for k, start in enumerate(time):
-        states.append([x[0] - x[1], x[1] - float(BUMP.displacement(start)), x[2], x[3]])
-        most = np.maximum(most, np.abs([x[0] - x[1], x[2] - x[3]]))
-        args = float(BUMP.displacement(start + h / 2)), shares[k]
-        x = solve_ivp(motion, (0.0, h), x, "DOP853", rtol=1e-12, atol=1e-13, max_step=h / 4, args=args).y[:, -1]
-    names = ("suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity")
-    ours = np.stack([physics[name] for name in names], axis=1)
-    assert most[0] < 0.1  # within the tables
-    assert most[1] < 1.0
-    # RK4 over knots is of second order: measured 5e-6 at 1 ms, and a sixteenth of that at a quarter of the step.
-    assert np.abs(ours - states).max() < 1e-5 * np.abs(states).max()
 
 
 @pytest.mark.parametrize("bend", [1e-12, *attacks([0.0])])

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import root_scalar
 
 from models.common.errors import InputError
+from models.kinds.at_wheels import ratio_notes
 from models.parts.lines import lines_at_rest
 from models.roads.choice import choose_road
 from models.roads.road import Bump, RoadInput
@@ -23,7 +24,8 @@ from sim.studies.ride.metrics import Meter, measure
 from sim.studies.stability.robustness import _with_factors, read_variations, robustness
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
-from tests.support.commands import attacks, main_of, prose
+from tests.support.commands import main_of, prose
+from tests.support.mechanism import straight
 
 CORNERS = {
     "quarter_car": ("",),
@@ -39,10 +41,6 @@ HARD = {"velocity": [-0.5, -0.1, 0.0, 0.1, 0.5], "force": [-2000.0, -600.0, 0.0,
 STOP = {"bump": (4e4, 2e6, 3e8), "rebound": (2e5, 0.0, 0.0)}
 LAWS = ("skyhook", "skyhook_linear", "hybrid", "pdd")
 TABLE = {"deflection": [-0.09, -0.03, 0.02, 0.08], "ratio": [0.68, 0.62, 0.6, 0.55]}
-SAME = [("quarter_car", "curves", "held"), ("quarter_car", "dampers", "held passive skyhook skyhook_linear hybrid pdd")]
-SAME += [("quarter_car", "measured", "skyhook_linear pdd"), ("half_car", "curves", "held"), ("full_car", "curves", "held")]
-SAME += [(kind, sort, "hybrid") for kind in ("half_car", "full_car") for sort in ("dampers", "measured")]
-MORE = [("quarter_car", "curves", "passive"), ("quarter_car", "measured", "held passive skyhook hybrid")]
 
 
 def axle(corner: str) -> str:
@@ -138,89 +136,6 @@ def test_a_design_reaches_the_same_norm():
     assert norm_of(arm, "state") == pytest.approx(norm_of(replace(wheel, performance=priced), "state"), rel=1e-5)
 
 
-@pytest.mark.parametrize(("kind", "sort", "names"), [*SAME, *attacks(MORE)])
-def test_runs_are_the_same(kind, sort, names):
-    """In MuJoCo, too, with curves, stops, actuators and semi-active dampers: every signal, the work, and the verdict."""
-    arm, wheel = car(kind, sort), car(kind, sort, False)
-    for name in names.split():
-        one, other = (driven(vehicle, name, "iso8608:class=E") for vehicle in (arm, wheel))
-        assert one.passed, name
-        for signal in one.physics.names:
-            end = re.sub("^(control_force|missing_force|damping)", "", signal)
-            power = 0 if end == signal else -2 if signal.startswith("damping") else -1
-            expected = other.physics[signal] * (RATIOS[axle(end)] ** power if power else 1.0)
-            least = 1.0 if signal.startswith("missing_force") else 1e-9  # N; a law within the damper's range misses nothing
-            apart = np.abs(one.physics[signal] - expected).max() / max(np.abs(expected).max(), least)
-            # Rounding of 400 steps, measured up to 1e-14; a setting is a force over a velocity that may be near 0, up to 8e-13.
-            assert apart < (1e-11 if signal.startswith(("missing_force", "damping")) else EXACT), (name, signal)
-        works = [measure(run.vehicle, run.physics, 0) for run in (one, other)]
-        for key in works[0]:
-            if "control_power" in key or "control_energy" in key or "at_stops" in key:
-                assert works[0][key] == pytest.approx(works[1][key], rel=1e-9, abs=1e-9), (name, key)
-
-
-def straight(points):
-    """Force between the points of a table, and beyond them as between the last two."""
-    x, y = (np.array(values) for values in points.values())
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    return lambda at: np.interp(at, x, y) + first * np.minimum(at - x[0], 0.0) + last * np.maximum(at - x[-1], 0.0)
-
-
-def integrated(vehicle: Vehicle, road: np.ndarray, pull, gain: float, acting=lambda d, v, u: u, h: float = 1e-3) -> np.ndarray:
-    """Travel of every suspension from first principles, in plain numpy with RK4, shape (T, c).
-
-    Args:
-        road: heights under the wheels midway through every step [m], shape (T, c).
-        pull: force of every suspension at its wheel by its travel, the rate of that, and the force of its actuator.
-        gain: force of every actuator per upward velocity of the body above it, held over a step [N s/m].
-        acting: what is held over a step, by travel, its rate and that force at the step's start; an argument of `pull`.
-    """
-    p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
-    S, M, c = np.ones((1, 1)), [p["sprung_mass"]], len(corners)
-    if c > 1:
-        x = [p["axle_distance_front"] if "front" in end else -p["axle_distance_rear"] for end in corners]
-        S, M = np.column_stack([np.ones(c), -np.array(x)]), [*M, p["pitch_inertia"]]
-    if c > 2:
-        S, M = np.column_stack([S, [p["track"] / 2 * (1 if "left" in end else -1) for end in corners]]), [*M, p["roll_inertia"]]
-    m_u, k_t = (np.array([p[f"{name}{axle(end)}"] for end in corners]) for name in ("unsprung_mass", "tyre_stiffness"))
-    k = len(M)
-
-    def rate(y, z_r, u):
-        q, z_u, dq, dz_u = np.split(y, [k, k + c, 2 * k + c])
-        f = pull(S @ q - z_u, S @ dq - dz_u, u)
-        return np.concatenate([dq, dz_u, -(S.T @ f) / M, (f - k_t * (z_u - z_r)) / m_u])
-
-    y, travels = np.zeros(2 * (k + c)), []
-    for z_r in road:
-        travels.append(S @ y[:k] - y[k : k + c])
-        u = acting(travels[-1], S @ y[k + c : 2 * k + c] - y[2 * k + c :], gain * (S @ y[k + c : 2 * k + c]))
-        k1 = rate(y, z_r, u)
-        k2 = rate(y + h / 2 * k1, z_r, u)
-        k3 = rate(y + h / 2 * k2, z_r, u)
-        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(y + h * k3, z_r, u))
-    return np.array(travels)
-
-
-@pytest.mark.parametrize(("kind", "height"), [("quarter_car", 0.06), ("half_car", 1e-6), ("full_car", 1e-6)])
-def test_an_own_integration_has_the_same_travel(kind, height):
-    """With springs, dampers, stops and actuators over their own travel; cars that turn over a road on which they hardly do."""
-    curved = kind == "quarter_car"
-    vehicle, r = car(kind, "curves" if curved else "linear"), np.array([RATIOS[axle(end)] for end in CORNERS[kind]])
-    spring, damper = (straight(SPRING), straight(DAMPER)) if curved else (lambda x: 25e3 * x, lambda v: 1800.0 * v)
-
-    def pull(d, v, u):
-        squeezed, stretched = np.maximum(-r * d - 0.02, 0.0), np.maximum(r * d - 0.03, 0.0)
-        laws = enumerate(zip(*STOP.values(), strict=True), 1)
-        stops = sum(rebound * stretched**i - bump * squeezed**i for i, (bump, rebound) in laws)
-        return r * (spring(r * d) + damper(r * v) + stops - u)
-
-    run = driven(vehicle, "held", f"bump:height={height}")
-    own = integrated(vehicle, run.prediction.input.midway, pull, -1200.0)
-    for part, travel in zip(vehicle.kind.suspensions, own.T, strict=True):
-        apart = np.abs(travel - run.physics[part.deflection]).max()
-        assert apart < (1e-9 if curved else 1e-6) * np.abs(travel).max()  # of a turning car, by the square of the height
-
-
 @pytest.mark.parametrize(
     ("kind", "sort", "name"), [("quarter_car", "curves", "held"), ("full_car", "measured", "skyhook_linear")]
 )
@@ -236,6 +151,35 @@ def test_a_ratio_that_is_off_by_two_percent_is_found(kind, sort, name):
 def assert_found(clean: Run, other: Vehicle) -> None:
     made = simulate([clean.controller], [RoadInput(other, clean.road, clean.physics.time)])
     assert not compare_runs([clean.prediction], made)[0].agrees
+
+
+@pytest.mark.parametrize("sort", ["dampers", "measured"])
+@pytest.mark.parametrize("turning", [False, True], ids=["constant", "over travel"])
+def test_a_damper_is_set_by_its_own_velocity(sort, turning):
+    """The coefficient is the nearest one to c_s - u* / h(r v), with the numbers of the file."""
+    text = (over_travel("quarter_car", sort) if turning else car("quarter_car", sort)).text.replace("bandwidth = 200.0", "")
+    run = driven(parse_vehicle(text), "held", "bump:height=0.05")
+    body, wheel, d = (run.physics[name] for name in ("sprung_velocity", "unsprung_velocity", "suspension_deflection"))
+    v = (ratio_at(d) if turning else RATIOS[""]) * (body - wheel)
+    shape, low, high = v, 600.0, 4000.0
+    if sort == "measured":
+        (soft, low), (hard, high) = (
+            (straight(*one.values())(v), (one["force"][3] - one["force"][1]) / 0.2) for one in (SOFT, HARD)
+        )
+        shape = (hard - soft) / (high - low)
+    moving = np.abs(v) > 1e-4
+    expected = np.clip(1800.0 + 1200.0 * body[moving] / shape[moving], low, high)
+    np.testing.assert_allclose(run.physics["damping"][moving], expected, rtol=1e-9)
+    assert {low, high} < {*expected}
+
+
+def test_work_and_contacts_are_those_at_the_wheel():
+    """Metrics of actuators' work and of stops are those of the car with these elements at its wheel."""
+    runs = [driven(car("quarter_car", "curves", on_arm), "held", "iso8608:class=E") for on_arm in (True, False)]
+    ours, theirs = (measure(run.vehicle, run.physics, 0) for run in runs)
+    own = [key for key in ours if "control_power" in key or "control_energy" in key or "at_stops" in key]
+    assert len(own) > 2
+    assert [ours[key] for key in own] == pytest.approx([theirs[key] for key in own], rel=1e-9, abs=1e-9)
 
 
 def test_ratios_are_sampled_side_by_side():
@@ -279,7 +223,7 @@ def test_expected_values_follow():
         assert found[0][key] == pytest.approx(factor * value, rel=1e-9), key
     laden = [parse_vehicle(car("quarter_car", "dampers", one).text + "\n[payload]\nmass = 12.0\n") for one in (True, False)]
     for side in ("bump", "rebound"):
-        strokes = [getattr(one.stops["suspension_deflection"], side).stroke for one in (*laden, arm)]
+        strokes = [one.strokes["suspension_deflection"][side] for one in (*laden, arm)]
         assert strokes[0] == pytest.approx(strokes[1], rel=EXACT)
         assert strokes[0] != strokes[2]
 
@@ -293,77 +237,6 @@ def travel_at(d: float) -> float:
     inner = sorted((x for x in TABLE["deflection"] if min(0.0, d) < x < max(0.0, d)), key=abs)
     x = np.array([0.0, *inner, d])
     return float(np.trapezoid(ratio_at(x), x))
-
-
-@pytest.mark.parametrize("kind", CORNERS)
-def test_a_ratio_over_travel(kind):
-    """A spring pulls with r(d) (F(D(d)) - N) + W, within the error stated, its rate at rest is r^2 k - r' N; a damper r^2 c."""
-    vehicle = over_travel(kind)
-    run, p, r, turn = driven(vehicle, "passive", "bump:height=0.05"), vehicle.parameters, ratio_at(0.0), (0.6 - 0.62) / 0.05
-    assert run.passed
-    k, c = (SPRING["force"][3] - SPRING["force"][1]) / 0.04, (DAMPER["force"][3] - DAMPER["force"][1]) / 0.2
-    rates, lengths = vehicle.kind.at_wheels(p), (p.get("axle_distance_front", 1.0), p.get("axle_distance_rear", 1.0))
-    d, curves = np.linspace(-0.12, 0.12, 49), {(one.deflection, one.damps): one.curve for one in vehicle.fitted}
-    for part in vehicle.kind.suspensions:
-        share = lengths["front" in part.corner] / sum(lengths) * {"quarter_car": 2, "half_car": 1, "full_car": 0.5}[kind]
-        load = p["sprung_mass"] * 9.81 * share
-        assert rates[part.stiffness] == pytest.approx(r**2 * k - turn * load / r, rel=EXACT)
-        assert rates[part.damping] == pytest.approx(r**2 * c, rel=EXACT)
-        curve, spring = curves[part.deflection, False], straight(SPRING)
-        own = ratio_at(d) * (spring(np.vectorize(travel_at)(d)) - load / r) + load
-        stated = float(curve.words.rpartition("within ")[2].removesuffix(" %")) / 100
-        assert np.abs(curve(d) - own).max() <= stated * np.abs(own).max() < 2e-3 * np.abs(own).max()
-    if kind == "quarter_car":
-        (spring,), damper = (one for (_, damps), one in curves.items() if not damps), straight(DAMPER)
-        own = integrated(vehicle, run.prediction.input.midway, lambda d, v, u: spring(d) + (r := ratio_at(d)) * damper(r * v), 0)
-        assert np.abs(own[:, 0] - run.physics["suspension_deflection"]).max() < 1e-9 * np.abs(own).max()
-        for point in TABLE["ratio"][1:3]:  # which this bump reaches
-            assert_found(run, parse_vehicle(vehicle.text.replace(f" {point},", f" {1.02 * point},")))
-        scaled = vehicle.with_parameters(motion_ratio=1.1 * p["motion_ratio"])
-        (surface,) = (one.surface for one in scaled.fitted if one.surface is not None)
-        np.testing.assert_allclose(surface.ratio, 1.1 * np.array(TABLE["ratio"]), rtol=EXACT)
-
-
-SMALL = {"half_car", "full_car"}  # run over a road on which they hardly turn, with short strokes
-
-
-@pytest.mark.parametrize("sort", ["curves", "dampers", "measured"])
-@pytest.mark.parametrize("kind", CORNERS)
-def test_stops_and_forces_over_travel(kind, sort):
-    """Stops pull with r(d) F(D(d) - stroke), an actuator with r u, a damper with r (c - c_s) h(r d'), at every stage."""
-    stroke, height = (2e-4, 1e-3) if kind in SMALL else (0.02, 0.08)
-    vehicle = parse_vehicle(over_travel(kind, sort, stroke).text.replace("bandwidth = 200.0", ""))
-    run = driven(vehicle, "held", f"bump:height={height}")
-    assert run.passed
-    parts, (low, high) = vehicle.kind.suspensions, (600.0, 4000.0)
-    springs = {one.deflection: one.curve for one in vehicle.fitted if not one.damps}
-    soft, hard, shape, damper = straight(SOFT), straight(HARD), lambda v: v, lambda v: 1800.0 * v
-    if sort == "curves":
-        damper = straight(DAMPER)
-    if sort == "measured":
-        low, high = ((one["force"][3] - one["force"][1]) / 0.2 for one in (SOFT, HARD))
-        shape, damper = lambda v: (hard(v) - soft(v)) / (high - low), lambda v: soft(v) + (1800.0 - low) * shape(v)
-
-    def acting(d, v, u):
-        return u if sort == "curves" else np.clip(-u / (shape(ratio_at(d) * v) + 1e-300), low - 1800.0, high - 1800.0)
-
-    def pull(d, v, u):
-        r, travel = ratio_at(d), np.vectorize(travel_at)(d)
-        squeezed, stretched = np.maximum(-travel - stroke, 0.0), np.maximum(travel - 1.5 * stroke, 0.0)
-        laws = enumerate(zip(*STOP.values(), strict=True), 1)
-        stops = sum(rebound * stretched**i - bump * squeezed**i for i, (bump, rebound) in laws)
-        carried = np.array([springs[part.deflection](x) for part, x in zip(parts, d, strict=True)])
-        return carried + r * (damper(r * v) + stops + (-u if sort == "curves" else u * shape(r * v)))
-
-    own = integrated(vehicle, run.prediction.input.midway, pull, -1200.0, acting)
-    for part, travel in zip(parts, own.T, strict=True):
-        apart = np.abs(travel - run.physics[part.deflection]).max()
-        assert apart < (1e-6 if kind in SMALL else 1e-12) * np.abs(travel).max()  # of a turning car, by the square of the height
-        assert travel.min() < -vehicle.stops[part.deflection].bump.stroke
-    if kind == "quarter_car":
-        for one, other in (("0.6,", "0.612,"), ("40000.0,", "40800.0,"))[: 1 + (sort == "curves")]:
-            assert one in vehicle.text
-            assert_found(run, parse_vehicle(vehicle.text.replace(one, other)))
 
 
 @pytest.mark.parametrize("lag", ["", "actuator_bandwidth = 60.0\n"])
@@ -403,14 +276,10 @@ def test_semi_active_laws_over_travel(sort, monkeypatch):
 
 
 def test_a_stop_over_travel():
-    """It begins where the element has gone its stroke, D(d) = -stroke, and stores the energy of the element."""
+    """It begins where the element has gone its stroke, D(d) = -stroke, and a stop beyond the table of the ratio is doubted."""
     text = over_travel("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.03\nstop_stiffness = 1e5\n"
     vehicle = parse_vehicle(text)
-    bump = vehicle.stops["suspension_deflection"].bump
-    assert travel_at(-bump.stroke) == pytest.approx(-0.03, rel=1e-12)
-    travel = -travel_at(-bump.stroke - 0.02) - 0.03
-    assert float(bump.acts(np.array(0.02))) == pytest.approx(1e5 * travel * ratio_at(-bump.stroke - 0.02), rel=1e-12)
-    assert float(bump.work(np.array(0.02))) == pytest.approx(1e5 * travel**2 / 2, rel=1e-12)
+    assert travel_at(-vehicle.strokes["suspension_deflection"]["bump"]) == pytest.approx(-0.03, rel=1e-12)
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
     assert not vehicle.doubts
     (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
@@ -418,20 +287,22 @@ def test_a_stop_over_travel():
 
 
 def test_rates_at_the_wheel_are_printed():
-    """Those of 0.6 and of a ratio over travel, whose spring's rate contains its preload, and the lines of such a spring."""
+    """Those of 0.6 and of a ratio over travel, whose spring's rate contains its preload."""
+
+    def notes(vehicle):
+        return ratio_notes(vehicle.kind, vehicle.parameters)
+
     k, c, r = 39403.55, 1302.95, 0.6  # N/m, N s/m
     text = read_vehicle("quarter_car").text.partition("[controllers")[0]
     text = re.sub("^suspension_stiffness = .*", f"suspension_stiffness = {k}", text, flags=re.M)
     text = re.sub("^suspension_damping = .*", f"suspension_damping = {c}", text, flags=re.M)
     fixed = parse_vehicle(text.replace("[parameters]", f"[parameters]\nmotion_ratio = {r}", 1))
-    assert fixed.ratio_notes == [f"motion_ratio 0.6: {k * r**2:g} N/m and {c * r**2:g} N s/m at the wheel"]
-    assert fixed.ratio_notes[0] in prose(repr(fixed))
-    assert not parse_vehicle(text).ratio_notes
+    assert notes(fixed) == [f"motion_ratio 0.6: {k * r**2:g} N/m and {c * r**2:g} N s/m at the wheel"]
+    assert notes(fixed)[0] in prose(repr(fixed))
+    assert not notes(parse_vehicle(text))
     turning = parse_vehicle(text + "\n[curves]\nmotion_ratio = { deflection = [-0.1, 0.0, 0.1], ratio = [0.7, 0.6, 0.5] }\n")
     preload = turning.parameters["sprung_mass"] * 9.81 / r
-    at_wheel, lines = turning.ratio_notes
-    assert at_wheel == f"motion_ratio 0.6 at equilibrium: {k * r**2 + preload:g} N/m and {c * r**2:g} N s/m at the wheel"
-    assert re.fullmatch(r"suspension_stiffness: .* \d+ straight lines within [\d.]+ %", lines)
+    assert notes(turning) == [f"motion_ratio 0.6 at equilibrium: {k * r**2 + preload:g} N/m and {c * r**2:g} N s/m at the wheel"]
 
 
 @pytest.mark.parametrize("command", ["sim.bump", pytest.param("sim.sweep", marks=pytest.mark.slow)])
@@ -473,16 +344,16 @@ def test_a_payload_over_travel(kind):
         assert laden.parameters[part.ratio] == pytest.approx(ratio_at(rest), rel=1e-9)
         rate = (carried(rest - 1e-6) - carried(rest + 1e-6)) / 2e-6
         assert laden.kind.at_wheels(laden.parameters)[part.stiffness] == pytest.approx(rate, rel=1e-6)  # of the difference
-        bump, other = (one.stops[part.deflection].bump.stroke for one in (laden, empty))
+        bump, other = (one.strokes[part.deflection]["bump"] for one in (laden, empty))
         assert bump == pytest.approx(other + rest, rel=1e-9)
     assert driven(laden, "hybrid", "bump:height=0.05", 0.2).passed
 
 
 def test_other_vehicles_over_travel():
-    """At the corners of the box a spring has other numbers of straight lines, and MuJoCo agrees there."""
+    """At the corners of the box of masses and tyres MuJoCo agrees, and its readout is the same."""
     vehicle = over_travel("quarter_car", "dampers").with_ideal_actuators
     corners = [_with_factors(vehicle, read_variations(vehicle, ()), factors) for factors in ((0.7, 0.75), (1.4, 1.25))]
-    assert len({reads_out(one, 4e-3) for one in corners}) == 2
+    assert len({reads_out(one, 4e-3) for one in corners}) == 1
     (box,) = robustness(vehicle, [Designer(vehicle).design("held")], 4e-3)
     assert box is not None
     assert box.holds

@@ -263,20 +263,6 @@ def test_the_linear_response_foretells_the_first_force_missing():
     assert abs(first - run.agreement.ended["damper"]) < 1.5e-3
 
 
-def test_runs_side_by_side():
-    """Runs of dampers that differ, in ranges and lags' rates, are those of each by itself, to the last bit."""
-    vehicle = parse_vehicle(QUARTER + DAMPER + "bandwidth = 100.0")
-    (one,) = vehicle.dampers.values()
-    ranges = ((2000, 100), (4000, 50))
-    others = [replace(vehicle, dampers={"control_force": replace(one, c_max=c, bandwidth=b)}) for c, b in ranges]
-    controller, time = design(vehicle, "sky"), sample_times(vehicle, 0.5, 1e-3)
-    together = simulate(others, [controller] * 2, [BUMP] * 2, time)
-    for i, other in enumerate(others):
-        pair = simulate([other] * 2, [controller] * 2, [BUMP] * 2, time)
-        assert np.array_equal(together.response.values[i], pair.response.values[0])
-        assert together.run(i)["damping"].max() <= others[i].dampers["control_force"].c_max
-
-
 def test_a_timestep_that_rk4_bears_with_every_coefficient():
     """The largest timestep is that of the hardest damper, and of its valve."""
     usual = largest_timestep(parse_vehicle(QUARTER))

@@ -10,7 +10,7 @@ from scipy.io import savemat
 from scipy.optimize import brentq
 
 from models.laws.goals import Goals
-from models.roads.road import Bump
+from models.parts.stop import Stops
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -18,9 +18,7 @@ from sim.bump import main
 from sim.campaign.samples import with_sample
 from sim.inspect.__main__ import main as inspect
 from sim.studies.stability.robustness import _with_factors, read_variations
-from synth.vehicle.designer import design
 from synth.vehicle.multi_objective import family_of
-from tests.support.analysed import simulate
 from tests.support.commands import prose, refused
 
 STOP = "compression [mm],force [N]\n-80,0\n0,0\n20,0\n30,900\n40,2600\n50,5600\n60,11000\n"
@@ -53,70 +51,6 @@ def held(x, table_x, table_force):
     return np.interp(x, table_x, table_force) + last * np.maximum(x - table_x[-1], 0.0)
 
 
-def integrated(vehicle: Vehicle, pull, road: Bump, time):
-    """Suspension deflections of a car over a bump, shape (T, corners), by Newton's equations for small angles, and RK4."""
-    p, corners = vehicle.parameters, [part.corner for part in vehicle.kind.suspensions]
-
-    def of(name):
-        return np.array([p.get(f"{name}_{corner.split('_')[0]}", p.get(name, 0.0)) for corner in corners])
-
-    x = of("axle_distance") * [1 if one.startswith("front") else -1 for one in corners]
-    y = of("track") / 2 * [one.endswith("left") - one.endswith("right") for one in corners]
-    m, c, k = of("unsprung_mass"), of("suspension_damping"), of("tyre_stiffness")
-    inertia = np.array([p["sprung_mass"], p.get("pitch_inertia", 1.0), p.get("roll_inertia", 1.0)])
-    arms = np.stack([np.ones_like(x), -x, y])  # of heave, of pitch with the nose down, and of roll to the right
-    n, h, late = len(corners), float(time[1]), (x.max() - x) / road.speed
-
-    def rate(state, z_r):
-        body, wheels, v_body, v_wheels = np.split(state, [3, 3 + n, 6 + n])
-        force = pull(body @ arms - wheels) + c * (v_body @ arms - v_wheels)
-        return np.concatenate([v_body, v_wheels, -(arms @ force) / inertia, (force - k * (wheels - z_r)) / m])
-
-    state, found = np.zeros(2 * (3 + n)), []
-    for t in time:
-        found.append(state[:3] @ arms - state[3 : 3 + n])
-        z_r = np.array([float(road.displacement(np.array(t + h / 2 - one))) for one in late])
-        k1 = rate(state, z_r)
-        k2 = rate(state + h / 2 * k1, z_r)
-        k3 = rate(state + h / 2 * k2, z_r)
-        k4 = rate(state + h * k3, z_r)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return np.array(found)
-
-
-ELEMENTS = """[
-    15e3,
-    { deflection = [-1e-4, -2e-5, 0, 1e-4], force = [-0.9, -0.1, 0, 0.4] },
-    { compression = [3e-5, 1e-4], force = [0, 3] },
-]"""
-STOPS = """[limits.stop]
-bump = { compression = [2e-5, 6e-5, 1e-4], force = [0, 4, 16] }
-rebound = { deflection = [1e-5, 5e-5], force = [0, 6] }
-"""
-
-
-@pytest.mark.parametrize("fault", [1.0, 1.02])
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
-def test_an_own_integration_has_the_same_motion(tmp_path, kind, fault):
-    """Springs and stops with gaps, whose forces add up, move a car as Newton's equations integrated here; 2 % does not."""
-    names = [""] if kind == "quarter_car" else ["_front", "_rear"]
-    more = "[curves]\n" + "\n".join(f"suspension_stiffness{name} = {ELEMENTS}" for name in names)
-    vehicle = read_with(tmp_path, f"{more}\n{STOPS}", kind)
-    road, time = Bump(height=2.4e-4, length=2.0, speed=12.5), np.arange(500) * 1e-3
-
-    def pull(d):
-        second = np.interp(d, [-1e-4, -2e-5, 0, 1e-4], [-0.9, -0.1, 0, 0.4])
-        second += 1e4 * np.minimum(d + 1e-4, 0) + 4e3 * np.maximum(d - 1e-4, 0)
-        stops = held(d, [1e-5, 5e-5], [0, 6 * fault]) - held(-d, [2e-5, 6e-5, 1e-4], [0, 4, 16])
-        return 15e3 * d + second - held(-d, [3e-5, 1e-4], [0, 3]) + stops
-
-    expected = integrated(vehicle, pull, road, time)
-    physics = simulate([vehicle], [design(vehicle, "passive")], [road], time).run(0)
-    assert min(-expected.min() / 1e-4, expected.max() / 5e-5) > 1, "beyond all tables"
-    apart = [np.abs(physics[part.deflection] - expected[:, i]).max() for i, part in enumerate(vehicle.kind.suspensions)]
-    assert (max(apart) < 1e-6 * np.abs(expected).max()) == (fault == 1), apart  # the angles' cosines leave 2e-7
-
-
 BESIDE = '[curves]\nsuspension_stiffness = [\n  "14 kN/m",  # the coil\n  { file = "bump.csv" },\n]'
 
 
@@ -128,7 +62,7 @@ def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more,
     """Compression, or a stop's travel from 0 on, is minus deflection: its table pushes the body up, and logs prove it."""
     vehicle = read_with(tmp_path, more, bump=table)
     d, stops = np.linspace(-0.08, 0.08, 161), vehicle.limits.stops_at("")
-    found = stops.pull(d) if stops else vehicle.curves["suspension_stiffness"](d) - 14e3 * d
+    found = Stops(*stops).pull(d, 0 * d) if stops else vehicle.curves["suspension_stiffness"](d) - 14e3 * d
     np.testing.assert_allclose(found, -held(-d, [0.02, 0.03, 0.04, 0.05, 0.06], [0, 900, 2600, 5600, 11000]), atol=1e-8)
     assert tmp_path / "bump.csv" in vehicle.files
     (tmp_path / "bump.csv").unlink()
@@ -145,10 +79,10 @@ def test_stops_of_axles_with_tables_and_strokes(tmp_path):
     savemat(tmp_path / "own.mat", {"compression_mm": [0.0, 10.0, 20.0], "force_kN": [0.0, 1.0, 4.0]})
     more = '[limits]\nsuspension_stroke = { bump = 0.06, rebound = 0.07 }\nstop = { file = "own.mat" }\n'
     vehicle = read_with(tmp_path, f"{more}[limits.rear]\nstop_stiffness = 1e5", "half_car")
-    front, rear = vehicle.limits.stops(vehicle.kind.suspensions).values()
-    assert front.pull(np.array([-0.08, -0.06, 0.0, 0.08])).tolist() == pytest.approx([-4000, 0, 0, 1000], abs=1e-9)
-    assert front.work(np.array([-0.08])) == pytest.approx(0.01 * 500 + 0.01 * 2500)
-    assert rear.pull(np.array([-0.08])) == pytest.approx(-2000)
+    front, rear = (one.part for one in vehicle.parts)
+    assert front.pull(np.array([-0.08, -0.06, 0.0, 0.08]), np.zeros(4)).tolist() == pytest.approx([-4000, 0, 0, 1000], abs=1e-9)
+    assert front.stored(np.array([-0.08])) == pytest.approx(0.01 * 500 + 0.01 * 2500)
+    assert rear.pull(np.array([-0.08]), np.zeros(1)) == pytest.approx(-2000)
     record = {key: one for key, one in json.loads(json.dumps(vehicle.limits.record)).items() if not key.startswith("actuator")}
     assert read_limits(record, vehicle.kind.suspensions) == vehicle.limits
     assert vehicle.limits.phrases(vehicle.kind.suspensions)[0].endswith(
@@ -196,8 +130,8 @@ def test_a_rebound_stop_is_the_same_in_each_form(tmp_path, more):
     """A stop that begins at 70 mm and has 100 N/mm pulls alike from a table of either kind and from a number with a unit."""
     files = {"over_compression": OVER_COMPRESSION, "over_extension": OVER_EXTENSION}
     vehicle = read_with(tmp_path, f"[limits]\n{more}", **files)
-    (stops,) = vehicle.limits.stops(vehicle.kind.suspensions).values()
-    assert stops.pull(np.array([0.0, 0.07, 0.075, 0.09])).tolist() == pytest.approx([0, 0, 500, 2000], abs=1e-9)
+    (stops,) = (one.part for one in vehicle.parts)
+    assert stops.pull(np.array([0.0, 0.07, 0.075, 0.09]), np.zeros(4)).tolist() == pytest.approx([0, 0, 500, 2000], abs=1e-9)
 
 
 GRID = "velocity [m/s] / deflection [m] / force [N],-0.05,0.03\n-1,-3000,-2000\n0,0,0\n1,4000,3000\n"
@@ -245,9 +179,6 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
     own = "[curves]\nsuspension_stiffness = { compression = [-0.0745, 0, 0.0905], force = [1898, 4756, 9323] }\n[limits.stop]\n"
     own += "bump = { compression = [0.017, 0.027, 0.037, 0.067, 0.077, 0.0905], force = [0, 250, 550, 2100, 4700, 30e3] }"
     weight, vehicle = 504.5 * 9.81, read_with(tmp_path, own)
-    assert vehicle.limits.stops(vehicle.kind.suspensions)["suspension_deflection"].pull(np.array([-0.072])) == pytest.approx(
-        -3400
-    )
     said, warned = driven(tmp_path, capsys)
     assert "agrees" in said
     assert f"force at rest is 4756 N, but the static load is {weight:.1f} N, a difference of {weight - 4756:+.1f} N" in warned

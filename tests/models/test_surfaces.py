@@ -7,11 +7,9 @@ import pytest
 
 from models.characteristics.curve import ForceCurve
 from models.characteristics.ratio_table import RatioTable
-from models.characteristics.surface import surface_of
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.linear.sampled_response import taylor4
 from sim.physics.step_derivative import step_derivative
 from sim.response.regime import CURVE, LEAVES, departures
 from sim.runs.run import run_controllers, sample_times
@@ -50,71 +48,6 @@ def bilinear(v, d, force=F, ratio=None):
     return r * (column[i] + (column[i + 1] - column[i]) * (u - V[i]) / (V[i + 1] - V[i]))
 
 
-def integrated(kind, p, time, ratio=None, parts=4):
-    """Deflections of suspensions and tyres from Newton's and Euler's laws, by RK4 at a part of the step, shape (T, 2 c).
-
-    The road is held at its middle over every step, as MuJoCo has it; it is under the left wheels of a full car alone.
-    """
-    x, y, axle = [0.0], [0.0], [""]
-    if kind != "quarter_car":
-        x, y, axle = [p["axle_distance_front"], -p["axle_distance_rear"]], [0.0, 0.0], ["_front", "_rear"]
-    if kind == "full_car":
-        x, y, axle = np.repeat(x, 2), np.array([1, -1, 1, -1]) * p["track"] / 2, np.repeat(axle, 2)
-    x, y, c, h = np.array(x), np.array(y), len(x), float(time[1])
-    k, k_t, m = (np.array([p[f"{n}{a}"] for a in axle]) for n in ("suspension_stiffness", "tyre_stiffness", "unsprung_mass"))
-    inertia = np.array([p["sprung_mass"], p.get("pitch_inertia", 1.0), p.get("roll_inertia", 1.0)])
-    way = np.stack([np.ones(c), -x, y])  # of heave, pitch and roll to the corners
-
-    def road(t):
-        return np.array([ROAD.displacement(t - (x[0] - one) / ROAD.speed) for one in x]) * (y >= 0)
-
-    def rate(state, z_r):
-        body, wheel = np.split(state[: 3 + c], [3]), np.split(state[3 + c :], [3])
-        d, v = body[0] @ way - body[1], wheel[0] @ way - wheel[1]
-        f = k * d + [bilinear(*one, ratio=ratio) for one in zip(v, d, strict=True)]
-        return np.concatenate([state[3 + c :], -(way @ f) / inertia, (f - k_t * (body[1] - z_r)) / m])
-
-    state, found, dt = np.zeros(2 * (3 + c)), [], h / parts
-    for start in time:
-        z_u = state[3 : 3 + c]
-        found.append(np.concatenate([state[:3] @ way - z_u, z_u - road(start)]))
-        z_r = road(start + h / 2)
-        for _ in range(parts):
-            k1 = rate(state, z_r)
-            k2 = rate(state + dt / 2 * k1, z_r)
-            k3 = rate(state + dt / 2 * k2, z_r)
-            state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(state + dt * k3, z_r))
-    return np.array(found)
-
-
-def apart(vehicle, reference, time, response=None):
-    """Largest difference of the response from the deflections of a reference, relative to each peak."""
-    road = dataclasses.replace(ROAD, track="left") if vehicle.kind.name == "full_car" else ROAD
-    response = response or sampled_response(vehicle, design(vehicle, "passive"), road, time)
-    names = [part.deflection for part in vehicle.kind.suspensions] + [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
-    return max(np.abs(response[n] - r).max() / np.abs(r).max() for n, r in zip(names, reference.T, strict=True))
-
-
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", *attacks(["full_car"])])
-def test_the_response_is_that_of_the_equations_written_out(kind):
-    """The response of every vehicle type is that of its own integration in this test: each step is one of RK4, to rounding."""
-    vehicle, time = tabled(kind), sample_times(read_vehicle(kind), 0.4, 1e-3)
-    assert apart(vehicle, integrated(kind, vehicle.parameters, time, parts=1), time) < 1e-11
-    assert apart(vehicle, integrated(kind, vehicle.parameters, time), time) < 2e-5  # RK4's own error at the kinks
-
-
-def test_a_ratio_of_travel_acts_on_velocity_and_force():
-    """With a ratio over deflection the force is r(d) G(r(d) v, d), exactly and in MuJoCo."""
-    ratio, time, plain = np.array([1.2, 0.9, 1.05, 1.3]), sample_times(read_vehicle("quarter_car"), 0.3, 1e-3), tabled()
-    surface = surface_of(V, D, F, "", ratio)
-    changed = {**plain.parameters, "suspension_damping": surface.slope}
-    vehicle = dataclasses.replace(plain, curves={"suspension_damping": surface}, parameters=changed)
-    reference = integrated("quarter_car", vehicle.parameters, time, ratio, parts=1)
-    assert apart(vehicle, reference, time) < 1e-11
-    physics = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time).run(0)
-    assert apart(vehicle, reference, time, physics) < 1e-9
-
-
 def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
     ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
@@ -126,20 +59,6 @@ def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     assert np.abs(surface.along(v, d) - force).max() < 1e-4 * np.abs(force).max()
     late = ForceCurve(np.array([-1.0, -0.4, 0.0, 0.4, 1.0]), np.array([-1.0, -0.8, 0.0, 0.8, 1.0]), 2.0, "")
     assert RatioTable(np.array([-0.1, 0.1]), np.array([0.4, 0.4])).damper(late).bent  # where the suspension moves at 1 m/s
-
-
-def test_two_percent_of_any_number_shows():
-    """A force, a velocity or a deflection of the table that is 2 % off moves the response by 1e-5 and more."""
-    time = sample_times(read_vehicle("quarter_car"), 0.3, 1e-3)
-    right = sampled_response(tabled(), design(tabled(), "passive"), ROAD, time, taylor4)
-    reference = np.stack([right["suspension_deflection"], right["tyre_deflection"]], axis=-1)
-    for part in (V, D, F):
-        for place in np.argwhere(part):
-            wrong = part.copy()
-            wrong[tuple(place)] *= 1.02
-            car = tabled("quarter_car", "", *(wrong if one is part else one for one in (V, D, F)))
-            response = sampled_response(car, design(car, "passive"), ROAD, time, taylor4)
-            assert apart(car, reference, time, response) > 1e-5, (part is F, place)
 
 
 LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
@@ -180,19 +99,6 @@ def test_the_energy_tells_a_table_with_a_fault():
     at_rest = np.repeat(np.array([[np.interp(0.0, D, row)] for row in F]), len(D), axis=1)
     for wrong in (F * [1.02, 1, 1, 1.02], at_rest):
         assert not energy(tabled(force=wrong), runs, 0, ROAD).balances
-
-
-def test_runs_side_by_side_have_the_numbers_of_each_alone():
-    """In a batch, with the parameter sampled and another table beside it, every run has its own numbers, bit for bit."""
-    first, other, time = tabled(), tabled(force=1.3 * F), sample_times(read_vehicle("quarter_car"), 0.3, 1e-3)
-    softer = dataclasses.replace(first, parameters={**first.parameters, "suspension_damping": 0.7 * first.fitted[0].curve.slope})
-    cars = [first, softer, other, first, softer]
-    both = simulate(cars, [design(one, "passive") for one in cars], [ROAD] * len(cars), time, threads=1)
-    for i, car in enumerate(cars):
-        alone = simulate([car], [design(car, "passive")], [ROAD], time).run(0)
-        np.testing.assert_array_equal(both.run(i).values, alone.values)
-    foretold = sampled_response(softer, design(softer, "passive"), ROAD, time, taylor4)
-    assert np.abs(both.run(1)["sprung_velocity"] - foretold["sprung_velocity"]).max() < 1e-9
 
 
 def test_a_table_without_effect_of_deflection_is_the_curve():

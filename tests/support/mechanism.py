@@ -9,10 +9,11 @@ All derivatives are complex steps, exact to rounding. Forces of suspensions are 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
+from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 
 STEP = 1e-200  # of a complex step
@@ -23,6 +24,7 @@ CORNERS = {
     "half_car": ("_front", "_rear"),
     "full_car": tuple(f"_{axle}_{side}" for axle in ("front", "rear") for side in ("left", "right")),
 }
+Number = np.ndarray | float
 Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (d, v, u), each (T, c) -> pulls at the wheels (T, c)
 
 
@@ -36,6 +38,17 @@ def jacobian(f, q):
     return np.stack([np.imag(f(q + 1j * STEP * row)) / STEP for row in np.eye(q.shape[1])], axis=-1)
 
 
+def straight(x, force) -> Callable:
+    """Lines between the points of a table, and on beyond them."""
+    x, force = np.array(x), np.array(force)
+    slopes = np.diff(force) / np.diff(x)
+
+    def of(at):
+        return np.interp(at, x, force) + slopes[0] * np.minimum(at - x[0], 0.0) + slopes[-1] * np.maximum(at - x[-1], 0.0)
+
+    return of
+
+
 def rk4(rate, x, h):
     """Returns the states after one step of h, by the classical Runge-Kutta method."""
     k1 = rate(x)
@@ -44,19 +57,19 @@ def rk4(rate, x, h):
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
 
 
-@dataclass(frozen=True, eq=False)
+def static_loads(vehicle: Vehicle) -> np.ndarray:
+    """Returns the body's weight on each suspension [N], shape (c,)."""
+    p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
+    reach = np.array([p.get("axle_distance_rear" if "front" in end else "axle_distance_front", 1.0) for end in corners])
+    return p["sprung_mass"] * G * reach / reach.sum()
+
+
 class Mechanism:
-    """Car of c corners whose body has k of heave, pitch and roll.
+    """Car of c corners whose body has k of heave, pitch and roll."""
 
-    Attributes:
-        forces: forces at the wheels, all of a suspension but the load that it carries at rest.
-    """
-
-    vehicle: Vehicle
-    forces: Forces
-
-    def __post_init__(self):
-        p, corners = self.vehicle.parameters, CORNERS[self.vehicle.kind.name]
+    def __init__(self, vehicle: Vehicle, forces: Forces) -> None:
+        """Takes the forces at the wheels: all of a suspension but the load that it carries at rest."""
+        p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
 
         def each(name):
             return np.array([p.get(f"{name}{axle(end)}", 0.0) for end in corners])
@@ -64,9 +77,7 @@ class Mechanism:
         wide = [p.get(f"track{axle(end)}", p.get("track", 0.0)) / 2 for end in corners]
         x = each("axle_distance") * [-1 if "rear" in end else 1 for end in corners]
         y = np.array(wide) * [1 if "left" in end else -1 for end in corners]
-        mass, at = p["sprung_mass"], dict(zip(("_front", "_rear"), (x.max(), -x.min()), strict=True))
-        share = [at[{"_front": "_rear", "_rear": "_front"}[axle(end)]] / sum(at.values()) if end else 1.0 for end in corners]
-        load = mass * G * np.array(share) / (2 if "roll_inertia" in p else 1)
+        mass, at, load = p["sprung_mass"], {"_front": x.max(), "_rear": -x.min()}, static_loads(vehicle)
         arms, rolls = [0.0, 0.0], "roll_centre_height_front" in p
         if pitches := "pitch_centre_height" in p:
             arms[0] = p["centre_height"] - p["pitch_centre_height"]
@@ -80,10 +91,9 @@ class Mechanism:
                     (k, np.array([np.sign(b) / (2 * abs(b)) * (axle(one) == end) for one, b in zip(corners, y, strict=True)]))
                 )
         inertia = [p[name] for name in ("pitch_inertia", "roll_inertia") if name in p]
-        vars(self).update(
-            x=x, y=y, mass=mass, load=load, arms=arms, bars=bars, inertia=inertia, k=1 + len(inertia), c=len(corners),
-            guided=rolls or pitches, unsprung=each("unsprung_mass"), tyre=each("tyre_stiffness"), rubber=each("tyre_damping"),
-        )  # fmt: skip
+        self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
+        self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
+        self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
 
     def angles(self, q):
         """Returns pitch and roll, shapes (T,)."""
@@ -123,7 +133,7 @@ class Mechanism:
             d = (along**2 + across**2) / (length + STRUT + rise) + rise  # length - STRUT, without its rounding
         return np.concatenate([d, hubs, *(phi - (hubs @ arm)[:, None] for _, arm in self.bars)], axis=1)
 
-    def rate(self, x, heights, u=0.0, velocities=0.0, loads=0.0):
+    def rate(self, x, heights, u: Number = 0.0, velocities: Number = 0.0, loads: Number = 0.0):
         """Returns x' of states x = (q, q'), shape (T, 2 n).
 
         Args:
@@ -150,7 +160,7 @@ class Mechanism:
         still, unit = np.zeros((2 * n, 2 * n)), np.eye(c)
 
         def slope(f, h):
-            return sum(w * (f(i * h) - f(-i * h)) / h for i, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))).T
+            return np.sum([w * (f(i * h) - f(-i * h)) / h for i, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))], axis=0).T
 
         A = slope(lambda e: self.rate(e * np.eye(2 * n), 0.0), 2e-3)
         Br, B, Bw = (
@@ -164,3 +174,52 @@ class Mechanism:
         R[c : c + P] = -modes
         A = T @ A @ np.linalg.inv(T)
         return A, T @ B, R + T @ Bw, T @ Br - A @ R
+
+
+def acting(on: RoadInput, run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inputs at the samples, what is commanded over the steps, and rates of lags [1/s], shapes (T, c), (T - 1, c) and (c,).
+
+    Inputs are forces of actuators, or coefficients beyond the nominal ones. RK4 turns a lag of rate w into the factor R(w h).
+    """
+    of = {one.force: (one.coefficient, one.nominal, one.damper.bandwidth or 0.0) for one in on.vehicle.adjustable}
+    usual = on.vehicle.limits.actuator_bandwidth or 0.0
+    names = [of.get(place.force, (place.force, 0.0, usual)) for place in on.vehicle.kind.suspensions]
+    u, lag = np.stack([run[name] - nominal for name, nominal, _ in names], axis=-1), np.array([one[2] for one in names])
+    a = lag * on.timestep
+    gone = 1 - np.polyval([1 / 24, -1 / 6, 1 / 2, -1.0, 1.0], a)
+    return u, u[:-1] + np.diff(u, axis=0) / np.where(lag, gone, np.inf), lag
+
+
+def integrated(on: RoadInput, force, knots, u, commands, lag) -> np.ndarray:
+    """Deflections of suspension and tyre of a quarter-car, shape (T, 2), by DOP853, started again at each knot of a law.
+
+    Road and commands are held over each step, as MuJoCo has them; inputs follow with their lag.
+
+    Args:
+        force: pull at the wheel [N] by deflection, its rate and the input.
+        knots: functions of deflection and its rate, each 0 where the force has a knot.
+        u, commands, lag: see `acting`.
+    """
+    p, h = on.vehicle.parameters, on.timestep
+    static = (p["sprung_mass"] + p["unsprung_mass"]) * G / p["tyre_stiffness"]
+
+    def rate(since, x):
+        held = to + (begin - to) * np.exp(-lag[0] * since)
+        f, t = float(force(x[0] - x[1], x[2] - x[3], held)), x[1] - road
+        return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"]]
+
+    events = [lambda _, x: x[1] - road - static]
+    events += [lambda _, x, knot=knot: float(knot(x[0] - x[1], x[2] - x[3])) for knot in knots]
+    for event in events:
+        vars(event)["terminal"] = True
+    x, found = np.zeros(4), []
+    for k in range(len(u)):
+        road, begin, to = on.midway[k, 0], u[k, 0], commands[min(k, len(commands) - 1), 0]
+        found.append([x[0] - x[1], x[1] - on.heights[k, 0]])
+        at = 0.0
+        while at < h and k < len(u) - 1:
+            step = solve_ivp(rate, (at, h), x, "DOP853", rtol=1e-11, atol=1e-14, events=events)
+            x, at = step.y[:, -1], float(step.t[-1])
+            past = min(1e-6 * h, h - at)  # on past the knot
+            x, at = x + past * np.array(rate(at, x)), at + past
+    return np.array(found)
