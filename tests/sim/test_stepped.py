@@ -34,6 +34,18 @@ CARS = {
 TIME = np.arange(500) * H
 
 
+def over_travel(p):
+    """Pull of a spring that carries the weight W at rest, r (k D - W / r(0)) + W with D the integral of r, straight in d."""
+    load, at_rest = p["sprung_mass"] * 9.81, np.interp(0.0, AT, RATIOS)
+
+    def pull(d):
+        x = np.unique(np.clip([0.0, *AT, d], min(d, 0.0), max(d, 0.0)))
+        travel = np.sign(d) * np.trapezoid(np.interp(x, AT, RATIOS), x)
+        return np.interp(d, AT, RATIOS) * (p["suspension_stiffness"] * travel - load / at_rest) + load
+
+    return pull
+
+
 def integrated(vehicle, road, parts):
     """Deflections of suspension and tyre and velocities of a quarter-car by (28) and its law, shape (T, 4).
 
@@ -42,7 +54,7 @@ def integrated(vehicle, road, parts):
     """
     p, law, adjusts = vehicle.parameters, vehicle.controllers["law"].law.sampled(PERIOD * H), bool(vehicle.dampers)
     curves, c = {one.part.argument: one.curve for one in vehicle.fitted}, p["suspension_damping"]
-    spring = curves.get("deflection", lambda d: p["suspension_stiffness"] * d)
+    spring = over_travel(p) if vehicle.kind.ratios else curves.get("deflection", lambda d: p["suspension_stiffness"] * d)
     damper = curves["velocity"] if "velocity" in curves and not vehicle.kind.ratios else lambda v: c * v
 
     def pull(x):
