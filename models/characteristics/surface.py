@@ -75,7 +75,7 @@ class ForceSurface(ForceCurve):
         force = self.along(x[:, None], centre + deviation * z) @ (weight / weight.sum())
         return ForceCurve(x, force, slope_at_rest(x, force), self.words)
 
-    together = None  # each has cells of its own
+    together = None  # pyright: ignore[reportAssignmentType]  # each has cells of its own
 
     @cached_property
     def key(self) -> bytes:

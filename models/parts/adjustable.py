@@ -14,7 +14,7 @@ setting from its line, plus that of the parallel curve.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -25,27 +25,16 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part, Quantity, SettablePart
+from models.parts.part import CURVE, Limit, Line, Part, SettablePart
 
 ROUNDING = 1e-9  # relative to the force of curve and line
 
 
 @dataclass(frozen=True)
 class Adjustable(SettablePart):
-    """Adjustable damper in its vehicle.
+    """Adjustable damper in its vehicle."""
 
-    Attributes:
-        standing: the curve c_s v + g(v); None if g is 0.
-        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
-            of `Part`.
-        over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
-    """
-
-    argument: ClassVar[Quantity] = "velocity"
-
-    standing: ForceCurve | None = None
-    ratio: float = 1.0
-    over_travel: bool = False
+    argument = "velocity"
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from models.kinds.kind import Suspension
     from models.parts.native import Tendon
 
+Number = float | Array  # an array of shape (N,) for N runs side by side
 Quantity = Literal["deflection", "velocity", "force"]
 POINTS = 401  # of a drawn curve, rest among them
 STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
@@ -45,10 +46,10 @@ class Line:
         of_preload: part of k by a preload at a motion ratio over travel [N/m].
     """
 
-    stiffness: float = 0.0
-    damping: float = 0.0
-    gain: float = 0.0
-    of_preload: float = 0.0
+    stiffness: Number = 0.0
+    damping: Number = 0.0
+    gain: Number = 0.0
+    of_preload: Number = 0.0
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the pull of the line [N], shape (...)."""
@@ -108,7 +109,7 @@ class Part(ABC):
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
-        step, at = STEP * 1j, np.zeros((), dtype=complex)
+        step, at = np.array(STEP * 1j), np.zeros((), dtype=complex)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
         return Line(*(np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along))
 
@@ -269,6 +270,10 @@ class SettablePart(Part):
         ending: suffix of the names at its suspension.
         damper: limits of the coefficient.
         nominal: coefficient of the linear model [N s/m].
+        standing: force at the nominal coefficient over velocity, c_s v + g(v); None if g is 0.
+        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
+            of `Part`.
+        over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
     """
 
     inputs: ClassVar[int] = 1
@@ -277,6 +282,9 @@ class SettablePart(Part):
     ending: str
     damper: "Damper"
     nominal: float
+    standing: "ForceCurve | None" = None
+    ratio: float = 1.0
+    over_travel: bool = False
 
     @property
     def coefficient(self) -> str:

@@ -16,7 +16,7 @@ from models.characteristics.stops import SLACK, Stop, StopTable, pair_words
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import BUMP_STOP, Limit, Line, Part, Quantity
+from models.parts.part import BUMP_STOP, Limit, Line, Part
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Stops(Part):
 
     contact: ClassVar[bool] = True
     stores: ClassVar[bool] = True
-    argument: ClassVar[Quantity] = "deflection"
+    argument = "deflection"
 
     bump: Stop
     rebound: Stop

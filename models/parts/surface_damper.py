@@ -3,19 +3,19 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 from models.characteristics.surface import ForceSurface
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
-from models.parts.part import Line, Part, Quantity
+from models.parts.part import Line, Part
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDamper(Part):
     """Force r a f(r v, r d), with f a surface. Attributes as of `models.parts.characteristic.Characteristic`."""
 
-    argument: ClassVar[Quantity] = "velocity"  # of its section, beside the deflection
+    argument = "velocity"  # of its section, beside the deflection
 
     own: ForceSurface
     factor: float = 1.0

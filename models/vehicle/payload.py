@@ -18,7 +18,7 @@ import numpy as np
 
 from models.characteristics import SIDES
 from models.characteristics.curve import ForceCurve
-from models.characteristics.stops import StopPair, StopSection
+from models.characteristics.stops import Stop, StopPair, StopSection
 from models.characteristics.surface import ForceSurface
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, Section, read
@@ -120,7 +120,7 @@ def _sunk(
     for part in kind.suspensions:
         if part.deflection not in stops:
             continue
-        pair = dict(zip(SIDES, stops[part.deflection], strict=True))
+        pair = dict[str, Stop](zip(SIDES, stops[part.deflection], strict=True))
         stretched = part.motion_ratio(parameters) * float(model.rows([part.deflection])[0][0] @ rest)
         stretched = known.get(part.deflection, stretched)
         left = {"bump": pair["bump"].stroke + stretched, "rebound": pair["rebound"].stroke - stretched}

@@ -86,7 +86,7 @@ class SuspensionForces:
         rates = np.empty(z.shape)
         for columns, own, kept, parts in self._stacks:
             if kept.stop > kept.start:
-                u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
+                u, states = 0.0 if own is None else inputs[..., own], z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
                 rates[..., kept] = parts.rate(d[..., columns], v[..., columns], states, u).reshape(*z.shape[:-1], -1)
         return rates
 
