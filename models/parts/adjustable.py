@@ -24,8 +24,9 @@ from models.characteristics.surface import ForceSurface
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
+from models.parts.characteristic import departures
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part, Quantity, SettablePart
+from models.parts.part import Limit, Line, Part, Quantity, SettablePart
 
 ROUNDING = 1e-9  # relative to the force of curve and line
 
@@ -42,6 +43,7 @@ class Adjustable(SettablePart):
     """
 
     argument: ClassVar[Quantity] = "velocity"
+    native: ClassVar[bool] = True
 
     standing: ForceCurve | None = None
     ratio: float = 1.0
@@ -52,13 +54,12 @@ class Adjustable(SettablePart):
         return self.ratio * self.ramp(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`."""
         own = self.ratio * v
         set_force = u * self.shape(own)
         return self.ratio * (set_force if self.standing is None else self.standing.pieces.force(own) + set_force)
 
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+    @cached_property
+    def line(self) -> Line:
         """See `Part.line`: the nominal damper."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
@@ -69,7 +70,6 @@ class Adjustable(SettablePart):
 
     @property
     def kinked_at_rest(self) -> bool:
-        """See `Part.kinked_at_rest`."""
         return self.standing is not None and bool((self.standing.pieces.start == 0).any())
 
     @cached_property
@@ -77,26 +77,12 @@ class Adjustable(SettablePart):
         """See `Part.curve`: of the nominal setting; None if it is straight."""
         return self.standing and self.standing.at_wheel(self.ratio)
 
-    @property
-    def range(self) -> float:
-        """See `Part.range`."""
-        return np.inf if self.curve is None else self.curve.range
-
     def limits(self) -> Sequence[Limit]:
         """Returns the velocities at which the nominal setting leaves its line."""
-        if self.curve is None:
-            return ()
-        low, high = self.curve.left_at
-        return [Limit(CURVE, "velocity", sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+        return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
-        """See `Part.at_wheel`."""
         return replace(self, ratio=self.ratio * ratio)
-
-    @property
-    def native(self) -> bool:
-        """See `Part.native`."""
-        return True
 
     def write(self, tendon: Tendon) -> None:
         """Writes what acts at every setting. See `Part.write`."""
@@ -104,7 +90,6 @@ class Adjustable(SettablePart):
             tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
 
     def write_input(self, tendon: Tendon, by_motor: bool) -> None:
-        """See `Part.write_input`."""
         line, ramps = (1.0, ()) if self.damper.pair is None else (self.damper.pair.line, self.damper.pair.ramps)
         shape = (0.0, ()) if by_motor else (line, ramps)
         tendon.adjust_input(self.force, *shape, self.low, self.ratio, self.damper.bandwidth)

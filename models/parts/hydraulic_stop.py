@@ -15,7 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.schema import SI, Section
-from models.parts.part import BUMP_STOP, Limit, Line, Part
+from models.parts.part import BUMP_STOP, Limit, Part
 
 
 @dataclass(frozen=True)
@@ -29,18 +29,11 @@ class HydraulicStop(Part, Section):
     damping: Annotated[float, SI("N s/m2", "c, damping per compression, while the compression grows", 0.0)]
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         compression = np.maximum(-d - self.stroke, 0.0)
         return -compression * (self.stiffness + self.damping * np.maximum(-v, 0.0))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return self.stiffness * np.square(np.maximum(-d - self.stroke, 0.0)) / 2
-
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`: the stop does not touch at rest."""
-        return Line()
 
     def limits(self) -> Sequence[Limit]:
         """Returns the stroke."""
@@ -48,5 +41,4 @@ class HydraulicStop(Part, Section):
 
     @property
     def words(self) -> str:
-        """See `Part.words`."""
         return f"a hydraulic bump stop at {-self.stroke:g} m"

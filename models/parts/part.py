@@ -86,6 +86,7 @@ class Part(ABC):
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
+    native: ClassVar[bool] = False  # True if `write` has a form native to MuJoCo for what is beyond the line
 
     @abstractmethod
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -159,11 +160,6 @@ class Part(ABC):
     def at_wheel(self, ratio: float) -> "Part | None":
         """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
         return self if ratio == 1 else None
-
-    @property
-    def native(self) -> bool:
-        """True if `write` has a form native to MuJoCo for what is beyond the line."""
-        return False
 
     def write(self, tendon: "Tendon") -> None:
         """Writes what is beyond the line into an MjSpec, in a form native to MuJoCo."""
@@ -319,21 +315,17 @@ class Straight(Part):
     at_rest: Line
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         return self.at_rest(d, v, u)
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return self.at_rest.stiffness * np.square(d) / 2
 
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`."""
+    @cached_property
+    def line(self) -> Line:
         return self.at_rest
 
     @property
     def bent(self) -> bool:
-        """See `Part.bent`."""
         return False
 
 
