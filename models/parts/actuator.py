@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from models.parts.part import Part
 class Actuator(Part):
     """Force that pushes body and wheel apart with its input u [N]."""
 
-    inputs: ClassVar[int] = 1
+    inputs = 1
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return np.negative(u)

@@ -11,10 +11,10 @@ where h is v except for a damper of two curves (`models.characteristics.adjustab
 setting from its line, plus that of the parallel curve.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -26,28 +26,17 @@ from models.common.errors import InputError
 from models.kinds.kind import Suspension
 from models.parts.characteristic import departures
 from models.parts.native import Tendon
-from models.parts.part import Limit, Line, Part, Quantity, SettablePart
+from models.parts.part import Limit, Line, Part, SettablePart
 
 ROUNDING = 1e-9  # relative to the force of curve and line
 
 
 @dataclass(frozen=True)
 class Adjustable(SettablePart):
-    """Adjustable damper in its vehicle.
+    """Adjustable damper in its vehicle."""
 
-    Attributes:
-        standing: the curve c_s v + g(v); None if g is 0.
-        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
-            of `Part`.
-        over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
-    """
-
-    argument: ClassVar[Quantity] = "velocity"
-    native: ClassVar[bool] = True
-
-    standing: ForceCurve | None = None
-    ratio: float = 1.0
-    over_travel: bool = False
+    argument = "velocity"
+    native = True
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""
@@ -100,25 +89,13 @@ class Adjustable(SettablePart):
         yield from ((replace(one, ratio=1.0), place.damping) for one in vehicle.adjustable if one.force == place.force)
 
     @classmethod
-    def in_vehicle(
-        cls,
-        dampers: Mapping[str, Damper],
-        suspensions: Sequence[Suspension],
-        parameters: Mapping[str, float],
-        curves: Mapping[str, ForceCurve],
-        table_of: Callable[[Suspension], Any],
-    ) -> tuple["Adjustable", ...]:
-        """Returns the adjustable dampers of a vehicle.
-
-        Args:
-            suspensions: suspensions of the vehicle, in the order of its forces.
-            parameters: parameters of the vehicle, by name.
-            curves: curves, by the parameter that each replaces.
-            table_of: returns the motion ratio over travel of a suspension, or None.
+    def in_vehicle(cls, vehicle: Any) -> tuple["Adjustable", ...]:
+        """Returns the adjustable dampers of a vehicle, in the order of its suspensions.
 
         Raises:
             InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
         """
+        dampers, suspensions, curves = vehicle.dampers, vehicle.kind.suspensions, vehicle.curves
         placed = []
         for part in suspensions:
             if part.force not in dampers:
@@ -133,15 +110,14 @@ class Adjustable(SettablePart):
                     f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
                     "semi-active damper; omit one of the two, or give a curve over velocity only"
                 )
-            nominal = parameters[part.damping]
+            nominal = vehicle.parameters[part.damping]
             if not damper.c_min <= nominal <= damper.c_max:
                 raise InputError(
                     f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
                     f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
                 )
-            standing = _standing(damper, nominal, curves.get(part.damping))
-            ratio = part.motion_ratio(parameters), table_of(part) is not None
-            placed.append(cls(part.force, part.ending, damper, nominal, standing, *ratio))
+            standing, ratio = _standing(damper, nominal, curves.get(part.damping)), part.motion_ratio(vehicle.parameters)
+            placed.append(cls(part.force, part.ending, damper, nominal, ratio, standing))
             _check_takes(part.damping, placed[-1])
             pairs = [
                 dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers
@@ -154,7 +130,7 @@ class Adjustable(SettablePart):
         return tuple(placed)
 
     @staticmethod
-    def check_measured(name: str, measured: Sequence[str], dampers: Sequence["Adjustable"]) -> None:
+    def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
         """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel.
 
         MuJoCo has no sensor of such a force.
@@ -162,9 +138,10 @@ class Adjustable(SettablePart):
         Raises:
             InputError: the controller measures such a force.
         """
-        for one in dampers:
-            if one.force in measured and (one.over_travel or one.damper.pair is not None):
-                what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
+        turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
+        for one in vehicle.adjustable:
+            if one.force in measured and (one.force in turning or one.damper.pair is not None):
+                what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
                 raise InputError(
                     f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
                     "suspension_velocity instead, or give numbers"

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -23,7 +23,7 @@ class Characteristic(Part):
         ratio: r, a constant motion ratio.
     """
 
-    native: ClassVar[bool] = True
+    native = True
 
     own: ForceCurve
     factor: float = 1.0

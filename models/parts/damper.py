@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
-from models.characteristics.curve_reading import VELOCITY, Argument
+from models.characteristics.curve_reading import VELOCITY
 from models.characteristics.ratio_table import line
 from models.characteristics.surface import ForceSurface
 from models.kinds.kind import Suspension
 from models.parts.characteristic import Characteristic
-from models.parts.part import Part, Quantity
+from models.parts.part import Part
 
 FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 
@@ -18,8 +18,8 @@ FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
 class DamperCurve(Characteristic):
     """Damper with a curve."""
 
-    argument: ClassVar[Quantity] = "velocity"
-    replaces: ClassVar[tuple[str, Argument]] = "damping", VELOCITY
+    argument = "velocity"
+    replaces = "damping", VELOCITY
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:

@@ -9,7 +9,7 @@ The hydraulic chamber gives no force as the stop opens.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from models.parts.part import BUMP_STOP, Limit, Part
 class HydraulicStop(Part, Section):
     """Hydraulic bump stop on the side of bump."""
 
-    contact: ClassVar[bool] = True
+    contact = True
 
     stroke: Annotated[float, SI("m", "travel from equilibrium to the stop", 1e-4, 2.0)]
     stiffness: Annotated[float, SI("N/m", "k, stiffness of the stop")]

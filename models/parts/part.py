@@ -109,9 +109,10 @@ class Part(ABC):
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
-        step, at = STEP * 1j, np.zeros((), dtype=complex)
+        step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        return Line(*(np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along))
+        slopes: Any = (np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along)
+        return Line(*slopes)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
@@ -265,14 +266,19 @@ class SettablePart(Part):
         ending: suffix of the names at its suspension.
         damper: limits of the coefficient.
         nominal: coefficient of the linear model [N s/m].
+        ratio: motion ratio at rest. All other numbers, forces and velocities are the damper's own, not those at the wheel, but
+            for those of `Part`.
+        standing: curve of the nominal damper with the curve parallel to it; None if both are straight.
     """
 
-    inputs: ClassVar[int] = 1
+    inputs = 1
 
     force: str
     ending: str
     damper: "Damper"
     nominal: float
+    ratio: float = 1.0
+    standing: "ForceCurve | None" = None
 
     @property
     def coefficient(self) -> str:
@@ -356,7 +362,7 @@ class Stack:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
         return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
 
-    def rate(self, d: Array, v: Array, z: Array, u: Any = 0.0) -> Array:
+    def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
         """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""
         return self._rows(lambda part, *at: part.rate(*at), d, v, z, u, z.shape)
 

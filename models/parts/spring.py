@@ -2,25 +2,25 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from models.characteristics.curve_reading import DEFLECTION, Argument
+from models.characteristics.curve_reading import DEFLECTION
 from models.characteristics.ratio_table import line
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.characteristic import Characteristic
-from models.parts.part import Part, Quantity
+from models.parts.part import Part
 
 
 @dataclass(frozen=True, eq=False)
 class SpringCurve(Characteristic):
     """Spring with a curve."""
 
-    argument: ClassVar[Quantity] = "deflection"
-    replaces: ClassVar[tuple[str, Argument]] = "stiffness", DEFLECTION
-    stores: ClassVar[bool] = True
+    argument = "deflection"
+    replaces = "stiffness", DEFLECTION
+    stores = True
 
     def stored(self, d: Array, z: Any = None) -> Array:
         return self.stored_beyond(d) + self.line.stiffness * np.square(d) / 2

@@ -7,7 +7,7 @@ a polynomial, so that a stop without a table is one of these.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +16,17 @@ from models.characteristics.stops import SLACK, Stop, StopTable, pair_words
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import BUMP_STOP, Limit, Part, Quantity
+from models.parts.part import BUMP_STOP, Limit, Part
 
 
 @dataclass(frozen=True)
 class Stops(Part):
     """Bump stops of a suspension, one for each side."""
 
-    contact: ClassVar[bool] = True
-    stores: ClassVar[bool] = True
-    native: ClassVar[bool] = True
-    argument: ClassVar[Quantity] = "deflection"
+    contact = True
+    stores = True
+    native = True
+    argument = "deflection"
 
     bump: Stop
     rebound: Stop

@@ -2,21 +2,21 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from models.characteristics.surface import ForceSurface
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.characteristic import Characteristic
-from models.parts.part import Part, Quantity
+from models.parts.part import Part
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDamper(Characteristic):
     """Force r a f(r v, r d), with f a surface; as a `Characteristic`, its section at deflection 0."""
 
-    argument: ClassVar[Quantity] = "velocity"
-    native: ClassVar[bool] = False
+    argument = "velocity"
+    native = False
 
     own: ForceSurface
 
