@@ -46,6 +46,19 @@ class Pieces:
         # This runs in each stage of a step: NumPy's `clip` and `sum` take twice as long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
 
+    def __getitem__(self, which: Array | slice) -> "Pieces":
+        """Returns the pieces of some of several curves."""
+        return Pieces(self.slope[which], self.start[which], self.low[which], self.high[which])
+
+    @staticmethod
+    def stacked(each: "Sequence[Pieces | None]", shape: tuple[int, ...]) -> "Pieces":
+        """Returns the pieces of several curves, shape (*shape, P); those of None are 0."""
+        stacked = np.zeros((4, len(each), max(len(one.slope) for one in each if one is not None)))
+        for i, one in enumerate(each):
+            if one is not None:
+                stacked[:, i, : len(one.slope)] = one.slope, one.start, one.low, one.high
+        return Pieces(*stacked.reshape(4, *shape, -1))
+
     @cached_property
     def _ones(self) -> Array:
         return np.ones(self.slope.shape[-1])
@@ -78,13 +91,9 @@ class ForceCurve:
     @staticmethod
     def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
         """Returns curves that are evaluated together, for arguments of a shape (..., *shape)."""
-        width = max(len(one.pieces.slope) for one in curves)
-        stacked = np.zeros((4, len(curves), width))
-        for i, one in enumerate(curves):
-            own = one.pieces
-            stacked[:, i, : len(own.slope)] = own.slope, own.start, own.low, own.high
-        pieces = Pieces(*stacked.reshape(4, *shape, width))
-        return StackedCurves(pieces, np.reshape([one.slope for one in curves], shape))
+        return StackedCurves(
+            Pieces.stacked([one.pieces for one in curves], shape), np.reshape([one.slope for one in curves], shape)
+        )
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""

@@ -136,11 +136,6 @@ class RatioTable:
         surface = surface_of(v, d, table, f"{curve.words}, at its motion ratio", self(d))
         return replace(surface, slope=self.at_rest**2 * curve.slope)
 
-    @cached_property
-    def key(self) -> bytes:
-        """Equal for tables with the same ratios."""
-        return self.x.tobytes() + self.ratio.tobytes()
-
 
 def line(slope: float, low: float, high: float) -> ForceCurve:
     """Returns a straight characteristic, whose largest force is that at the ends of a range."""

@@ -29,14 +29,12 @@ class ForceSurface(ForceCurve):
         deflections: deflections of the table [m], ascending, shape (k,).
         table: G at these [N], 0 at velocity 0, shape (n, k).
         ratio: r at the deflections, above 0, shape (k,).
-        base: the surface of which it is a multiple; None for itself.
     """
 
     velocities: Array = field(kw_only=True)
     deflections: Array = field(kw_only=True)
     table: Array = field(kw_only=True)
     ratio: Array = field(kw_only=True)
-    base: "ForceSurface | None" = field(default=None, kw_only=True)
 
     def along(self, velocity: Array, deflection: Array) -> Array:
         """Returns F at velocities and deflections of the suspension [N], shape (...)."""
@@ -54,18 +52,14 @@ class ForceSurface(ForceCurve):
 
     def scaled(self, factor: float) -> "ForceSurface":
         """See `ForceCurve.scaled`."""
-        table, force = factor * self.table, factor * self.force
-        multiple = replace(self, force=force, slope=factor * self.slope, table=table, base=self.base or self)
-        return self if factor == 1 else multiple
+        scaled = {name: factor * getattr(self, name) for name in ("force", "slope", "table")}
+        return self if factor == 1 else replace(self, **scaled)
 
     def at_wheel(self, ratio: float) -> "ForceSurface":
         """See `ForceCurve.at_wheel`."""
-        own = ("velocities", "deflections", "x")
-        parts = {name: getattr(self, name) / ratio for name in own} | {
-            name: ratio * getattr(self, name) for name in ("table", "force")
-        }
-        base = None if self.base is None else self.base.at_wheel(ratio)
-        return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, base=base, **parts)
+        parts = {name: getattr(self, name) / ratio for name in ("velocities", "deflections", "x")}
+        parts |= {name: ratio * getattr(self, name) for name in ("table", "force")}
+        return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, **parts)
 
     def mean(self, centre: float, deviation: float) -> ForceCurve:
         """Returns the mean of F over Gaussian deflections [m], which velocities do not depend on, at the table's velocities."""
@@ -76,11 +70,6 @@ class ForceSurface(ForceCurve):
         return ForceCurve(x, force, slope_at_rest(x, force), self.words)
 
     together = None  # pyright: ignore[reportAssignmentType]  # each has cells of its own
-
-    @cached_property
-    def key(self) -> bytes:
-        """Equal for surfaces with the same force."""
-        return b"|".join(part.tobytes() for part in (self.velocities, self.deflections, self.table, self.ratio))
 
     @cached_property
     def bent(self) -> bool:
@@ -112,14 +101,6 @@ class ForceSurface(ForceCurve):
     def ratios(self) -> Array:
         """The constant and the slope of r between deflections and beyond, shape (2, k + 1)."""
         return np.stack(_lines(self.deflections, self.ratio))
-
-    @cached_property
-    def steepest(self) -> tuple[float, float]:
-        """Bounds of the slopes of F - slope v over velocity [N s/m] and deflection [N/m], within the table's velocities."""
-        over_v = np.abs(np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None]).max()
-        over_d = np.abs(np.diff(self.table) / np.diff(self.deflections)).max()
-        r, turn, u = self.ratio.max(), np.abs(self.ratios[1]).max(), np.abs(self.velocities).max()
-        return float(r**2 * over_v + self.slope), float(r * over_d + turn * (np.abs(self.table).max() + over_v * u))
 
 
 def _lines(d: Array, values: Array) -> tuple[Array, Array]:

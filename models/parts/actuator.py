@@ -2,33 +2,26 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
-from models.parts.part import Line, Part
+from models.parts.part import Part
 
 
 @dataclass(frozen=True, eq=False)
 class Actuator(Part):
     """Force that pushes body and wheel apart with its input u [N]."""
 
-    inputs: ClassVar[int] = 1
+    inputs = 1
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         return np.negative(u)
 
     @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`."""
-        return Line(gain=-1.0)
-
-    @property
     def bent(self) -> bool:
-        """See `Part.bent`."""
         return False
 
     @classmethod

@@ -11,7 +11,7 @@ where h is v except for a damper of two curves (`models.characteristics.adjustab
 setting from its line, plus that of the parallel curve.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,8 +24,9 @@ from models.characteristics.surface import ForceSurface
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
+from models.parts.characteristic import departures
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part, SettablePart
+from models.parts.part import Limit, Line, Part, SettablePart
 
 ROUNDING = 1e-9  # relative to the force of curve and line
 
@@ -35,19 +36,19 @@ class Adjustable(SettablePart):
     """Adjustable damper in its vehicle."""
 
     argument = "velocity"
+    native = True
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""
         return self.ratio * self.ramp(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`."""
         own = self.ratio * v
         set_force = u * self.shape(own)
         return self.ratio * (set_force if self.standing is None else self.standing.pieces.force(own) + set_force)
 
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+    @cached_property
+    def line(self) -> Line:
         """See `Part.line`: the nominal damper."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
@@ -58,7 +59,6 @@ class Adjustable(SettablePart):
 
     @property
     def kinked_at_rest(self) -> bool:
-        """See `Part.kinked_at_rest`."""
         return self.standing is not None and bool((self.standing.pieces.start == 0).any())
 
     @cached_property
@@ -66,26 +66,12 @@ class Adjustable(SettablePart):
         """See `Part.curve`: of the nominal setting; None if it is straight."""
         return self.standing and self.standing.at_wheel(self.ratio)
 
-    @property
-    def range(self) -> float:
-        """See `Part.range`."""
-        return np.inf if self.curve is None else self.curve.range
-
     def limits(self) -> Sequence[Limit]:
         """Returns the velocities at which the nominal setting leaves its line."""
-        if self.curve is None:
-            return ()
-        low, high = self.curve.left_at
-        return [Limit(CURVE, "velocity", sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+        return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
-        """See `Part.at_wheel`."""
         return replace(self, ratio=self.ratio * ratio)
-
-    @property
-    def native(self) -> bool:
-        """See `Part.native`."""
-        return True
 
     def write(self, tendon: Tendon) -> None:
         """Writes what acts at every setting. See `Part.write`."""
@@ -93,7 +79,6 @@ class Adjustable(SettablePart):
             tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
 
     def write_input(self, tendon: Tendon, by_motor: bool) -> None:
-        """See `Part.write_input`."""
         line, ramps = (1.0, ()) if self.damper.pair is None else (self.damper.pair.line, self.damper.pair.ramps)
         shape = (0.0, ()) if by_motor else (line, ramps)
         tendon.adjust_input(self.force, *shape, self.low, self.ratio, self.damper.bandwidth)
@@ -104,25 +89,13 @@ class Adjustable(SettablePart):
         yield from ((replace(one, ratio=1.0), place.damping) for one in vehicle.adjustable if one.force == place.force)
 
     @classmethod
-    def in_vehicle(
-        cls,
-        dampers: Mapping[str, Damper],
-        suspensions: Sequence[Suspension],
-        parameters: Mapping[str, float],
-        curves: Mapping[str, ForceCurve],
-        table_of: Callable[[Suspension], Any],
-    ) -> tuple["Adjustable", ...]:
-        """Returns the adjustable dampers of a vehicle.
-
-        Args:
-            suspensions: suspensions of the vehicle, in the order of its forces.
-            parameters: parameters of the vehicle, by name.
-            curves: curves, by the parameter that each replaces.
-            table_of: returns the motion ratio over travel of a suspension, or None.
+    def in_vehicle(cls, vehicle: Any) -> tuple["Adjustable", ...]:
+        """Returns the adjustable dampers of a vehicle, in the order of its suspensions.
 
         Raises:
             InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
         """
+        dampers, suspensions, curves = vehicle.dampers, vehicle.kind.suspensions, vehicle.curves
         placed = []
         for part in suspensions:
             if part.force not in dampers:
@@ -137,15 +110,14 @@ class Adjustable(SettablePart):
                     f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
                     "semi-active damper; omit one of the two, or give a curve over velocity only"
                 )
-            nominal = parameters[part.damping]
+            nominal = vehicle.parameters[part.damping]
             if not damper.c_min <= nominal <= damper.c_max:
                 raise InputError(
                     f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
                     f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
                 )
-            standing = _standing(damper, nominal, curves.get(part.damping))
-            ratio = part.motion_ratio(parameters), table_of(part) is not None
-            placed.append(cls(part.force, part.ending, damper, nominal, standing, *ratio))
+            standing, ratio = _standing(damper, nominal, curves.get(part.damping)), part.motion_ratio(vehicle.parameters)
+            placed.append(cls(part.force, part.ending, damper, nominal, ratio, standing))
             _check_takes(part.damping, placed[-1])
             pairs = [
                 dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers
@@ -158,7 +130,7 @@ class Adjustable(SettablePart):
         return tuple(placed)
 
     @staticmethod
-    def check_measured(name: str, measured: Sequence[str], dampers: Sequence["Adjustable"]) -> None:
+    def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
         """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel.
 
         MuJoCo has no sensor of such a force.
@@ -166,9 +138,10 @@ class Adjustable(SettablePart):
         Raises:
             InputError: the controller measures such a force.
         """
-        for one in dampers:
-            if one.force in measured and (one.over_travel or one.damper.pair is not None):
-                what = "at a motion ratio over travel" if one.over_travel else "with curves c_min and c_max"
+        turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
+        for one in vehicle.adjustable:
+            if one.force in measured and (one.force in turning or one.damper.pair is not None):
+                what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
                 raise InputError(
                     f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
                     "suspension_velocity instead, or give numbers"

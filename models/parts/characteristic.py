@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part
+from models.parts.part import CURVE, Limit, Line, Part, Quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,17 +23,19 @@ class Characteristic(Part):
         ratio: r, a constant motion ratio.
     """
 
+    native = True
+
     own: ForceCurve
     factor: float = 1.0
     ratio: float = 1.0
 
-    def over(self, d: Array, v: Array) -> Array:
-        """Returns the argument, from deflection and velocity."""
-        return v if self.argument == "velocity" else d
+    @classmethod
+    def with_slope(cls, curve: ForceCurve, slope: float) -> Self:
+        """Returns the part with a curve whose slope at rest is scaled to another one."""
+        return cls(curve, slope / curve.slope if curve.slope else 1.0)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
-        return self.ratio * self.factor * self.own(self.ratio * self.over(d, v))
+        return self.ratio * self.factor * self.own(self.ratio * (v if self.argument == "velocity" else d))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`. It is exactly 0 along the line."""
@@ -46,44 +48,27 @@ class Characteristic(Part):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`: the slope of the curve at rest."""
         slope = self.ratio**2 * self.factor * self.own.slope
         return Line(0.0, slope) if self.argument == "velocity" else Line(slope)
 
     @property
     def bent(self) -> bool:
-        """See `Part.bent`."""
         return self.own.bent
 
     @property
     def kinked_at_rest(self) -> bool:
-        """See `Part.kinked_at_rest`."""
         return bool((self.own.pieces.start == 0).any())
 
     @cached_property
     def curve(self) -> ForceCurve:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`."""
         return self.own.scaled(self.factor).at_wheel(self.ratio)
-
-    @property
-    def range(self) -> float:
-        """See `Part.range`."""
-        return self.curve.range
 
     def limits(self) -> Sequence[Limit]:
         """Returns the arguments, below and above rest, at which the curve leaves its line."""
-        low, high = self.curve.left_at
-        of = "velocity" if self.argument == "velocity" else "deflection"
-        return [Limit(CURVE, of, sign, far) for sign, far in ((-1.0, -low), (1.0, high)) if far < np.inf]
+        return departures(self.curve, "velocity" if self.argument == "velocity" else "deflection")
 
-    def at_wheel(self, ratio: float) -> "Part":
-        """See `Part.at_wheel`."""
+    def at_wheel(self, ratio: float) -> Part:
         return self if ratio == 1 else replace(self, ratio=self.ratio * ratio)
-
-    @property
-    def native(self) -> bool:
-        """See `Part.native`."""
-        return True
 
     def write(self, tendon: Tendon) -> None:
         """Writes every straight piece as an actuator. See `Part.write`."""
@@ -91,5 +76,10 @@ class Characteristic(Part):
 
     @property
     def words(self) -> str:
-        """See `Part.words`."""
         return self.own.words
+
+
+def departures(curve: ForceCurve, of: Quantity) -> Sequence[Limit]:
+    """Returns the limits, below and above rest, at which a curve leaves its line."""
+    sides = zip((-1.0, 1.0), curve.left_at, strict=True)
+    return [Limit(CURVE, of, sign, abs(far)) for sign, far in sides if abs(far) < np.inf]

@@ -28,6 +28,6 @@ class DamperCurve(Characteristic):
         if place.force in vehicle.dampers or isinstance(curve, ForceSurface):
             return
         if curve is not None:
-            yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
+            yield cls.with_slope(curve, vehicle.parameters[name]), name
         elif vehicle.kind.table_of(place) is not None and name in vehicle.parameters:
             yield cls(line(1.0, -FAST, FAST), vehicle.parameters[name]), name

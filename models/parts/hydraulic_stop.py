@@ -9,38 +9,31 @@ The hydraulic chamber gives no force as the stop opens.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.schema import SI, Section
-from models.parts.part import BUMP_STOP, Limit, Line, Part
+from models.parts.part import BUMP_STOP, Limit, Part
 
 
 @dataclass(frozen=True)
 class HydraulicStop(Part, Section):
     """Hydraulic bump stop on the side of bump."""
 
-    contact: ClassVar[bool] = True
+    contact = True
 
     stroke: Annotated[float, SI("m", "travel from equilibrium to the stop", 1e-4, 2.0)]
     stiffness: Annotated[float, SI("N/m", "k, stiffness of the stop")]
     damping: Annotated[float, SI("N s/m2", "c, damping per compression, while the compression grows", 0.0)]
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         compression = np.maximum(-d - self.stroke, 0.0)
         return -compression * (self.stiffness + self.damping * np.maximum(-v, 0.0))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return self.stiffness * np.square(np.maximum(-d - self.stroke, 0.0)) / 2
-
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`: the stop does not touch at rest."""
-        return Line()
 
     def limits(self) -> Sequence[Limit]:
         """Returns the stroke."""
@@ -48,5 +41,4 @@ class HydraulicStop(Part, Section):
 
     @property
     def words(self) -> str:
-        """See `Part.words`."""
         return f"a hydraulic bump stop at {-self.stroke:g} m"

@@ -87,6 +87,7 @@ class Part(ABC):
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
+    native: ClassVar[bool] = False  # True if `write` has a form native to MuJoCo for what is beyond the line
 
     @abstractmethod
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -109,9 +110,10 @@ class Part(ABC):
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
-        step, at = np.array(STEP * 1j), np.zeros((), dtype=complex)
+        step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        return Line(*(np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along))
+        slopes: Any = (np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along)
+        return Line(*slopes)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
@@ -160,11 +162,6 @@ class Part(ABC):
     def at_wheel(self, ratio: float) -> "Part | None":
         """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
         return self if ratio == 1 else None
-
-    @property
-    def native(self) -> bool:
-        """True if `write` has a form native to MuJoCo for what is beyond the line."""
-        return False
 
     def write(self, tendon: "Tendon") -> None:
         """Writes what is beyond the line into an MjSpec, in a form native to MuJoCo."""
@@ -270,21 +267,19 @@ class SettablePart(Part):
         ending: suffix of the names at its suspension.
         damper: limits of the coefficient.
         nominal: coefficient of the linear model [N s/m].
-        standing: force at the nominal coefficient over velocity, c_s v + g(v); None if g is 0.
-        ratio: motion ratio. All other numbers, forces and velocities are the damper's own, not those at the wheel, but for those
-            of `Part`.
-        over_travel: True if the motion ratio changes with travel; `ratio` is that at rest.
+        ratio: motion ratio at rest. All other numbers, forces and velocities are the damper's own, not those at the wheel, but
+            for those of `Part`.
+        standing: curve of the nominal damper with the curve parallel to it; None if both are straight.
     """
 
-    inputs: ClassVar[int] = 1
+    inputs = 1
 
     force: str
     ending: str
     damper: "Damper"
     nominal: float
-    standing: "ForceCurve | None" = None
     ratio: float = 1.0
-    over_travel: bool = False
+    standing: "ForceCurve | None" = None
 
     @property
     def coefficient(self) -> str:
@@ -327,21 +322,17 @@ class Straight(Part):
     at_rest: Line
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         return self.at_rest(d, v, u)
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return self.at_rest.stiffness * np.square(d) / 2
 
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`."""
+    @cached_property
+    def line(self) -> Line:
         return self.at_rest
 
     @property
     def bent(self) -> bool:
-        """See `Part.bent`."""
         return False
 
 
@@ -372,7 +363,7 @@ class Stack:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
         return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
 
-    def rate(self, d: Array, v: Array, z: Array, u: Any = 0.0) -> Array:
+    def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
         """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""
         return self._rows(lambda part, *at: part.rate(*at), d, v, z, u, z.shape)
 

@@ -18,7 +18,7 @@ from models.characteristics.curve import ForceCurve
 from models.characteristics.ratio_table import RatioTable
 from models.common.arrays import Array
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part, Quantity
+from models.parts.part import CURVE, Limit, Line, Part
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,12 @@ class Constant:
     turn: ClassVar[float] = 0.0
 
     def ratio_and_travel(self, deflection: Array) -> tuple[Array | float, Array]:
-        """See `RatioTable.ratio_and_travel`."""
         return 1.0, deflection
 
     def travel(self, deflection: Array) -> Array:
-        """See `RatioTable.travel`."""
         return deflection
 
     def deflection(self, travel: Array) -> Array:
-        """See `RatioTable.deflection`."""
         return travel
 
 
@@ -57,63 +54,36 @@ class AtRatio(Part):
     scale: float = 1.0
     load: float = 0.0
 
-    @property
-    def states(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Number of the part's states."""
-        return self.part.states
-
-    @property
-    def inputs(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Number of the part's inputs."""
-        return self.part.inputs
-
-    @property
-    def argument(self) -> Quantity | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Argument of the part."""
-        return self.part.argument
-
-    @property
-    def contact(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the part is a contact."""
-        return self.part.contact
-
-    @property
-    def stores(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the part stores all energy."""
-        return self.part.stores
+    def __post_init__(self) -> None:
+        for name in ("states", "inputs", "argument", "contact", "stores"):
+            object.__setattr__(self, name, getattr(self.part, name))
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         ratio, travel = self.table.ratio_and_travel(d)
         r = self.scale * ratio
         pull = r * self.part.pull(self.scale * travel, r * v, z, u)
         return pull - (ratio / self.table.at_rest - 1.0) * self.load if np.any(self.load) else pull
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.rate`."""
         ratio, travel = self.table.ratio_and_travel(d)
         return self.part.rate(self.scale * travel, self.scale * ratio * v, z, u)
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         travel = self.table.travel(d)
         return self.part.stored(self.scale * travel, z) - self.load * (travel / self.table.at_rest - d)
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`."""
         own, r = self.part.line, self.scale * self.table.at_rest
         of_preload = -self.table.turn * self.load
         return Line(r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload)
 
     @property
     def bent(self) -> bool:
-        """See `Part.bent`."""
         return self.part.bent or (isinstance(self.table, RatioTable) and bool(np.ptp(self.table.ratio)))
 
     @property
     def kinked_at_rest(self) -> bool:
-        """See `Part.kinked_at_rest`."""
         return self.part.kinked_at_rest
 
     @cached_property
@@ -134,23 +104,20 @@ class AtRatio(Part):
         return table.spring(own, self.load) if self.part.argument == "deflection" else table.damper(own)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the part's limits at the wheel; those of a velocity become one of the force, which depends on more."""
-        own, limits = self.part.limits(), list[Limit]()
-        for limit in own:
-            if limit.end == CURVE and isinstance(self.table, RatioTable):
-                continue
-            if limit.of == "deflection":
-                travel = np.array(limit.sign * limit.value / self.scale)
-                limits.append(replace(limit, value=abs(float(self.table.deflection(travel)))))
-            else:
-                limits.append(replace(limit, value=limit.value * (self.scale if limit.of == "force" else 1 / self.scale)))
-        return limits if isinstance(self.table, Constant) else [*limits, *super().limits()]
+        """Returns the part's limits at the wheel; over travel those of a curve become one of the force, which depends on more."""
+        own, constant = self.part.limits(), isinstance(self.table, Constant)
+        limits = [self._at_wheel(limit) for limit in own if constant or limit.end != CURVE]
+        return limits if constant else [*limits, *super().limits()]
+
+    def _at_wheel(self, limit: Limit) -> Limit:
+        if limit.of == "deflection":
+            travel = np.array(limit.sign * limit.value / self.scale)
+            return replace(limit, value=abs(float(self.table.deflection(travel))))
+        return replace(limit, value=limit.value * (self.scale if limit.of == "force" else 1 / self.scale))
 
     def write_input(self, tendon: Tendon, by_motor: bool) -> None:
-        """See `Part.write_input`."""
         self.part.write_input(tendon, by_motor)
 
     @property
     def words(self) -> str:
-        """See `Part.words`."""
         return self.part.words

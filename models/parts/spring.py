@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +20,12 @@ class SpringCurve(Characteristic):
 
     argument = "deflection"
     replaces = "stiffness", DEFLECTION
-    stores: ClassVar[bool] = True
+    stores = True
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return self.stored_beyond(d) + self.line.stiffness * np.square(d) / 2
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored_beyond`."""
         return self.factor * self.own.work(self.ratio * d)
 
     @classmethod
@@ -35,7 +33,7 @@ class SpringCurve(Characteristic):
         """Yields the spring of a suspension: its curve, or its line where the motion ratio turns the line over travel."""
         name, curve = place.stiffness, vehicle.curves.get(place.stiffness)
         if curve is not None:
-            yield cls(curve, vehicle.parameters[name] / curve.slope if curve.slope else 1.0), name
+            yield cls.with_slope(curve, vehicle.parameters[name]), name
         elif (table := vehicle.kind.table_of(place)) is not None and name in vehicle.parameters:
             ends = place.motion_ratio(vehicle.parameters) / table.at_rest * table.travel(table.x[[0, -1]])
             yield cls(line(1.0, *ends.tolist()), vehicle.parameters[name]), name

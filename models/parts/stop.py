@@ -7,7 +7,7 @@ a polynomial, so that a stop without a table is one of these.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,15 +16,16 @@ from models.characteristics.stops import SLACK, Stop, StopTable, pair_words
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import BUMP_STOP, Limit, Line, Part
+from models.parts.part import BUMP_STOP, Limit, Part
 
 
 @dataclass(frozen=True)
 class Stops(Part):
     """Bump stops of a suspension, one for each side."""
 
-    contact: ClassVar[bool] = True
-    stores: ClassVar[bool] = True
+    contact = True
+    stores = True
+    native = True
     argument = "deflection"
 
     bump: Stop
@@ -37,7 +38,6 @@ class Stops(Part):
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
     def at_wheel(self, ratio: float) -> "Stops":
-        """See `Part.at_wheel`."""
         return self if ratio == 1 else Stops(self.bump.at_wheel(ratio), self.rebound.at_wheel(ratio))
 
     @property
@@ -52,17 +52,10 @@ class Stops(Part):
         return bump == rebound and not isinstance(bump, StopTable) and not bump[1]
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`."""
         return sum((sign * stop.acts(beyond) for sign, stop, beyond in self._squeezed(d)), np.zeros_like(d))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`."""
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(d)), np.zeros_like(d))
-
-    @property
-    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.line`: none touches at rest."""
-        return Line()
 
     def limits(self) -> Sequence[Limit]:
         """Returns the strokes."""
@@ -71,11 +64,6 @@ class Stops(Part):
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
         """Returns sign, stop and how far it is compressed [m] for each side that has one."""
         return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
-
-    @property
-    def native(self) -> bool:
-        """See `Part.native`."""
-        return True
 
     def write(self, tendon: Tendon) -> None:
         """Writes springs with a dead band of the stroke; a stop with a table is the pieces of its curve. See `Part.write`.
@@ -100,7 +88,6 @@ class Stops(Part):
 
     @property
     def words(self) -> str:
-        """See `Part.words`."""
         return pair_words((self.bump, self.rebound))
 
     @classmethod

@@ -99,46 +99,51 @@ def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
 
 
 class MotionRatios:
-    """Motion ratios of the inputs of N vehicles of one kind.
+    """Motion ratios of the inputs of N vehicles of one kind, or of one for any number of runs.
 
     Attributes:
         over_travel: names of the inputs whose ratio changes with travel.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        """Takes N vehicles, or one for any number of runs."""
-        first, self._at_rest = vehicles[0], dict[str, Array]()
-        places = {place.force: place for place in first.kind.suspensions}
-        self._tables: dict[str, list[tuple[RatioTable, Array, Array]]] = {}  # each with its runs and its factor in these
-        for force in first.linear_model.inputs:
-            ratios = self._at_rest[force] = np.array([one.motion_ratios[force] for one in vehicles])
-            groups: dict[int, tuple[RatioTable, list[int]]] = {}
-            for i, one in enumerate(vehicles):
-                if force in places and (table := one.kind.table_of(places[force])) is not None:
-                    groups.setdefault(id(table), (table, []))[1].append(i)
-            if groups:
-                self._tables[force] = [(table, np.array(runs), ratios[runs] / table.at_rest) for table, runs in groups.values()]
+        """Takes the vehicles."""
+        first, self._tables = vehicles[0], dict[str, "list[tuple[RatioTable, Array | slice, Array]]"]()
+        self._inputs, self._places = first.linear_model.inputs, {one.force: i for i, one in enumerate(first.kind.suspensions)}
+        self._at_rest = {force: np.array([one.motion_ratios[force] for one in vehicles]) for force in self._inputs}
+        for force in self._inputs:
+            place = first.kind.suspensions[self._places[force]] if force in self._places else None
+            tables = [None if place is None else one.kind.table_of(place) for one in vehicles]
+            for table in {id(one): one for one in tables if one is not None}.values():
+                own = np.array([one is table for one in tables])
+                runs = slice(None) if own.all() else own
+                self._tables.setdefault(force, []).append((table, runs, self._at_rest[force][runs] / table.at_rest))
         self.over_travel = tuple(self._tables)
 
     def of(self, force: str, deflection: Array) -> Array:
         """Returns the ratio of an input at deflections of its suspension [m], shape (..., N)."""
-        ratios = np.broadcast_to(self._at_rest[force], np.shape(deflection)).copy()
+        ratios = np.broadcast_to(self._at_rest[force], deflection.shape).copy()
         for table, runs, factor in self._tables.get(force, ()):
             ratios[..., runs] = factor * table(deflection[..., runs])
         return ratios
+
+    def travel(self, force: str, deflection: Array) -> Array:
+        """Returns the travel of an actuator [m], the integral of its ratio from rest; arguments as for `of`."""
+        travels = self._at_rest[force] * deflection
+        for table, runs, factor in self._tables.get(force, ()):
+            travels[..., runs] = factor * table.travel(deflection[..., runs])
+        return travels
 
     def turn(self, force: str, deflection: Array) -> Array:
         """Returns the same ratio over that at rest, shape (..., N)."""
         return self.of(force, deflection) / self._at_rest[force]
 
+    def turns(self, travels: Array) -> Array:
+        """Returns the ratio of every input over that at rest, shape (..., N, m).
 
-def ratio_at(vehicle: Vehicle, force: str, deflection: Array) -> Array:
-    """Returns the motion ratio of an input of a vehicle at deflections of its suspension [m], shape (...)."""
-    return MotionRatios([vehicle]).of(force, np.asarray(deflection)[..., None])[..., 0]
-
-
-def travel_at(vehicle: Vehicle, force: str, deflection: Array) -> Array:
-    """Returns the travel of an actuator [m], the integral of its motion ratio from rest, shape (...); arguments as above."""
-    ratio, place = vehicle.motion_ratios[force], next((one for one in vehicle.kind.suspensions if one.force == force), None)
-    table = None if place is None else vehicle.kind.table_of(place)
-    return ratio * deflection if table is None else ratio / table.at_rest * table.travel(deflection)
+        Args:
+            travels: deflections of the suspensions [m], shape (..., N, s).
+        """
+        turned = np.ones((*travels.shape[:-1], len(self._inputs)))
+        for force in self.over_travel:
+            turned[..., self._inputs.index(force)] = self.turn(force, travels[..., self._places[force]])
+        return turned

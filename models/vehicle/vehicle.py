@@ -292,8 +292,7 @@ class Vehicle(Shown):
             return ()
         from models.parts.registry import part_class
 
-        placed = part_class("adjustable damper").in_vehicle
-        return placed(self.dampers, self.kind.suspensions, self.parameters, self.curves, self.kind.table_of)
+        return part_class("adjustable damper").in_vehicle(self)
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
@@ -523,7 +522,7 @@ class Vehicle(Shown):
         if self.dampers and not entry.forced:
             from models.parts.registry import part_class
 
-            part_class("adjustable damper").check_measured(entry.name, entry.measured, self.adjustable)
+            part_class("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""

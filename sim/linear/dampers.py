@@ -32,24 +32,10 @@ def stretching(vehicle: Vehicle) -> Array:
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m)."""
-    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
     travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
-    return (of.at_rest - states @ stretching(vehicle).T) * turns(vehicle, travels)
-
-
-def turns(vehicle: Vehicle, travels: Array) -> Array | float:
-    """Returns the motion ratio of every force over that at rest, shape (..., m), or 1 if none changes with travel.
-
-    Args:
-        travels: deflections of the suspensions [m], shape (..., s).
-    """
-    ratios = MotionRatios([vehicle])
-    if not ratios.over_travel:
-        return 1.0
-    parts = [part.deflection for part in vehicle.kind.suspensions]
-    at = {force: travels[..., [parts.index(vehicle.kind.pushed(force))]] for force in vehicle.linear_model.inputs}
-    return np.concatenate([ratios.turn(force, d) for force, d in at.items()], axis=-1)
+    return (of.at_rest - states @ stretching(vehicle).T) * MotionRatios([vehicle]).turns(travels)
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
@@ -57,12 +43,6 @@ def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
     passive.
     """
     return not vehicle.dampers or not controller.law.acts
-
-
-def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
-    """Returns the factors from damper coefficients to forces, by the velocities of the suspensions, shape (..., m)."""
-    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
-    return velocities if of.bent is None else -of.effective_velocity(-velocities[..., None, :])[..., 0, :]
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:
@@ -87,7 +67,7 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
         states: states of the vehicle, shape (T, n).
         inputs: forces that act [N], shape (T, m).
     """
-    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    of = range_of([vehicle])
     closing = of.at_rest - states @ stretching(vehicle).T
     m = inputs.shape[1]
     commands = of.commands(np.concatenate([inputs, closing], axis=-1)[:, None])[:, 0]
@@ -123,10 +103,7 @@ def squarable(forces: Array) -> Array:
 
 def command_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the commands of a law in Python: forces, or with adjustable dampers `CoefficientRange.commands`."""
-    forces, coefficients = (
-        vehicle.linear_model.inputs,
-        {adjustable.force: adjustable.coefficient for adjustable in vehicle.adjustable},
-    )
+    forces, coefficients = vehicle.linear_model.inputs, {one.force: one.coefficient for one in vehicle.adjustable}
     if not coefficients:
         return forces
     beyond = (f"{coefficients[force]}_beyond_nominal" if force in coefficients else force for force in forces)

@@ -449,7 +449,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
         from models.parts.damper_range import range_of
         from sim.linear.dampers import stretching
 
-        of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
+        of, V = range_of([vehicle]), stretching(vehicle)
         steepest = {adjustable.force: adjustable.steepest_slope - adjustable.nominal for adjustable in vehicle.adjustable}
         firm = np.array([steepest.get(force, 0.0) for force in forces])
         systems += [A - (vehicle.linear_model.B * d) @ V for d in (np.where(of.adjustable, of.low[0], 0.0), firm)]

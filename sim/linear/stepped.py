@@ -29,7 +29,7 @@ from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import damper_signals, stretching, turns
+from sim.linear.dampers import damper_signals, stretching
 from sim.linear.linear_motion import lag_rates, suspensions_of
 from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
 from sim.response.recursion import SHARES, WEIGHTS, recursion
@@ -51,7 +51,8 @@ class Stepper:
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
         along, model = suspensions_of(vehicle, self._forces.acts), self.model
         (n, m), s = model.B.shape, along.shown.shape[1]
-        self._n, self._s, self.shown, felt = n, s, along.shown, bool(vehicle.dampers or MotionRatios([vehicle]).over_travel)
+        self._n, self._s, self.shown, self.ratios = n, s, along.shown, MotionRatios([vehicle])
+        felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
         rows = np.pad(np.vstack([along.travel, along.rate]), ((0, 0), (0, n - along.travel.shape[1])))
         of_road = np.vstack([along.travel_of_road, along.rate_of_road]) + rows @ model.jump
@@ -134,7 +135,7 @@ class Stepper:
         if vehicle.dampers:
             coefficients = xi @ self._acting + inputs @ self._at_once
             speeds = x[:, : len(vehicle.linear_model.states)] @ stretching(vehicle).T
-            speeds = speeds * turns(vehicle, self.travels(xi, road.heights))
+            speeds = speeds * self.ratios.turns(self.travels(xi, road.heights))
             beside = damper_signals(vehicle, coefficients, missing)
             for one in vehicle.adjustable:
                 j = vehicle.linear_model.inputs.index(one.force)
@@ -290,7 +291,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
         inputs: N roads under one vehicle, at the same sample times.
     """
     vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep
-    how, of = vehicle.implementation, range_of([vehicle.adjustable], vehicle.linear_model.inputs) if vehicle.dampers else None
+    how, of = vehicle.implementation, range_of([vehicle]) if vehicle.dampers else None
     period = steps_per_sample(how, h)
     steps, late = Stepper(vehicle, h), round(how.delay * period)
     laws = _Laws(controllers, inputs, steps, period)
@@ -314,7 +315,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
                 requested, kept, closing = laws(k // period, xi, now, pulls, kept)
                 waiting[k + late] = (requested, lost)
                 if of is not None:
-                    closing = (closing + of.at_rest) * turns(vehicle, steps.travels(xi, heights[k]))
+                    closing = (closing + of.at_rest) * steps.ratios.turns(steps.travels(xi, heights[k]))
                     if laws.windup is not None:
                         kept = kept + np.vecmat(of.clipped_off(requested, closing), laws.windup)
                     waiting[k + late] = np.split(of.commands(np.concatenate([requested, closing], axis=1)), 2, axis=1)

@@ -40,32 +40,24 @@ class Actuators:
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
-        first = vehicles[0]
-        self.vehicles, self.forces, self._lagging = vehicles, len(first.linear_model.inputs), readout.lagging
-        self.size, self.lags, self._of, self._ramps = self.forces, False, None, np.zeros(0, dtype=int)
+        first, inputs = vehicles[0], vehicles[0].linear_model.inputs
+        self.vehicles, self.forces, self._lagging = vehicles, len(inputs), readout.lagging
+        self._ratios, self._of, self._ramps = MotionRatios(vehicles), None, np.zeros(0, dtype=int)
+        self.size, self.lags, self.over_travel = self.forces, False, False
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
-        self._ratios = MotionRatios(vehicles)
-        self.over_travel = bool(first.dampers and self._ratios.over_travel)
         if not first.dampers:
             return
         from models.parts.damper_range import range_of
 
-        self.size, self._of = 2 * self.forces, range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
-        self._nominal = np.zeros((len(vehicles), self.forces))
-        for i, vehicle in enumerate(vehicles):
-            for one in vehicle.adjustable:
-                self._nominal[i, first.linear_model.inputs.index(one.force)] = one.nominal
-        adjustable, speeds = self._of.adjustable, readout.stretching.shape[1]
+        self.size, self._of = 2 * self.forces, range_of(vehicles)
+        adjustable, turning = self._of.adjustable, self._ratios.over_travel
         self.closing, self.at_rest = np.zeros((self.forces, readout.of_state.shape[1])), self._of.at_rest
-        self.closing[adjustable, -speeds:] = -readout.stretching[adjustable]
-        self.lags = bool(np.any(readout.lagging[adjustable] >= 0))
-        suspended = [part.force for part in first.kind.suspensions]
-        self._turning = [
-            (j, name, suspended.index(name)) for j, name in enumerate(first.linear_model.inputs) if name in suspended
-        ]
+        self.closing[adjustable, -readout.stretching.shape[1] :] = -readout.stretching[adjustable]
+        self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning)
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
-        counts = [0 if one.damper.pair is None or one.over_travel else len(one.damper.pair.ramps) for one in first.adjustable]
-        self._ramps = np.repeat([first.linear_model.inputs.index(one.force) for one in first.adjustable], counts)
+        ramps = {one.force: one.damper.pair.ramps for one in first.adjustable if one.damper.pair and one.force not in turning}
+        if ramps:
+            self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
     def turn(self, closing: Array, deflections: Array) -> None:
         """Multiplies closing velocities, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
@@ -73,8 +65,7 @@ class Actuators:
         Args:
             deflections: of all suspensions [m], shape (N, s).
         """
-        for j, name, i in self._turning:
-            closing[:, j] *= self._ratios.turn(name, deflections[:, i])
+        closing *= self._ratios.turns(deflections)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).
@@ -87,7 +78,7 @@ class Actuators:
         if self._of is None or requests == "commands":
             return requested
         if requests == "coefficients":
-            return self._of.clip_coefficients(requested - self._nominal[which], closing, which)
+            return self._of.clip_coefficients(requested, closing, which)
         return self._of.commands(np.concatenate([requested, closing], axis=-1), which)
 
     def apply(self, controls: Array, commands: Array) -> None:
@@ -103,15 +94,17 @@ class Actuators:
             commands: shape (B, N, size).
             activations: MuJoCo's, shape (B, N, na), or (0, N, na) if no coefficient lags.
         """
+        if self._of is None:
+            return
         first = self.vehicles[0]
         names, inputs = [signal.name for signal in first.kind.signals], first.linear_model.inputs
         parts = {part.force: (names.index(part.deflection), part.velocity.name) for part in first.kind.suspensions if part.force}
         for i, one in enumerate(first.adjustable):
             j = inputs.index(one.force)
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
-            values[:, names.index(one.coefficient)] = self._nominal[:, j] + beyond
+            values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            if one.damper.pair is not None or one.over_travel:  # its force is that of several actuators
+            if one.damper.pair is not None or one.force in self._ratios.over_travel:  # its force is that of several actuators
                 deflection, velocity = parts[one.force]
                 speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]
                 for n, (other, v) in enumerate(zip(self.vehicles, speeds.T, strict=True)):

@@ -163,7 +163,7 @@ class LinearDriver:
                 gain = gains[id(one)]
                 self._windup[i, : len(gain)] = gain
             most = [vehicle.limits.actuator_force for vehicle in vehicles]
-            self._range = range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs, most)
+            self._range = range_of(vehicles, most)
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
@@ -205,7 +205,7 @@ class SemiActiveDriver:
         from models.parts.damper_range import range_of
         from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
-        self._range = range_of([vehicle.adjustable for vehicle in vehicles], vehicles[0].linear_model.inputs)
+        self._range = range_of(vehicles)
         self._numbers_at = partial(numbers_at, numbers_of(self._laws, vehicles), self._range)
         self._signals = len(self.measured)
         if self._range.bent is not None:

@@ -49,7 +49,7 @@ from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
-from models.vehicle.suspension_forces import ratio_at, travel_at
+from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.recursion import lag_stages, lagging
@@ -242,9 +242,9 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
-    acting, work = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:])
+    acting, work, ratios = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
     for j, name in enumerate(inputs):
-        length, ratio = path.stroke(vehicle, name), partial(ratio_at, vehicle, name)
+        length, ratio = path.stroke(vehicle, name), partial(ratios.of, name)
         speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
         if name in dampers:
             work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
@@ -252,7 +252,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
             power = (dampers[name].ramp(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
         elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
-            travel = partial(travel_at, vehicle, name)
+            travel = partial(ratios.travel, name)
             work[:, j] = first * (travel(length.after) - travel(length.d[:-1]))
         else:
             middle = (inner[0] + inner[1]) / 2

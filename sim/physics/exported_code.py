@@ -58,7 +58,7 @@ class CodeDriver:
             from models.parts.damper_range import range_of
 
             self.measured = (*self.measured, *closing_names(first))
-            self._range = range_of([vehicle.adjustable for vehicle in vehicles], first.linear_model.inputs)
+            self._range = range_of(vehicles)
         self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code reads velocities of extension
         if self._semi_active is not None:
             self._semi_active.start(vehicles, timestep)
@@ -92,6 +92,6 @@ class CodeDriver:
         seen, closing = np.where(law.resolution > 0, step * np.round(y[:, :q] / step), y[:, :q]), y[:, q:]
         if self._semi_active is not None and self._range is not None:
             requested, _ = self._semi_active.step(0, seen, None, state)
-            return self._range.clip_coefficients(requested - self._nominal, closing)
+            return self._range.clip_coefficients(requested, closing)
         forces = seen @ law.D.T + state @ law.C.T
         return forces if self._range is None else self._range.commands(np.concatenate([forces, closing], axis=1))

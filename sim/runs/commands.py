@@ -179,7 +179,7 @@ def _commands(
 def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple[Array, Array, tuple[Array, Array]]:
     """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains."""
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
-    law, inputs = controller.law.sampled(samples.period * h), vehicle.linear_model.inputs
+    law = controller.law.sampled(samples.period * h)
     forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
     if controller.preview is not None:
         ahead = forces_ahead(controller.preview, road, samples.period)[samples.due]
@@ -191,7 +191,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
         from models.laws.anti_windup import anti_windup_gain
         from models.parts.damper_range import range_of
 
-        of, gain = range_of([vehicle.adjustable], inputs, [vehicle.limits.actuator_force]), anti_windup_gain(law)
+        of, gain = range_of([vehicle], [vehicle.limits.actuator_force]), anti_windup_gain(law)
         after = after + of.clipped_off(forces, closing) @ gain.T
         of_after = of_after + of_forces @ np.abs(gain).T
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
@@ -199,7 +199,7 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
         return forces, slack, states
     from models.parts.damper_range import range_of
 
-    of = range_of([vehicle.adjustable], inputs)
+    of = range_of([vehicle])
     speed = np.abs(of.effective_velocity(closing))
     commands = of.commands(np.concatenate([forces, closing], axis=1))
     return (
@@ -214,9 +214,9 @@ def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) ->
     from models.parts.damper_range import range_of
     from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
-    of, whole = range_of([vehicle.adjustable], vehicle.linear_model.inputs), slice(None)
+    of, whole = range_of([vehicle]), slice(None)
     numbers = numbers_at(numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
-    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers) - _nominal(vehicle), samples.closing)
+    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers), samples.closing)
     return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
 
 
@@ -241,13 +241,7 @@ def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Arr
     requested = np.array(requests).reshape(len(requests), -1) if requests else np.zeros((0, 0))
     if not vehicle.dampers or driver.requests == "commands":
         return requested
-    of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
+    of = range_of([vehicle])
     if driver.requests == "coefficients":
-        return of.clip_coefficients(requested - _nominal(vehicle), samples.closing)
+        return of.clip_coefficients(requested, samples.closing)
     return of.commands(np.concatenate([requested, samples.closing], axis=1))
-
-
-def _nominal(vehicle: Vehicle) -> Array:
-    """Returns the nominal coefficient of the damper at every input [N s/m], 0 for actuators that push, shape (m,)."""
-    nominal = {one.force: one.nominal for one in vehicle.adjustable}
-    return np.array([nominal.get(name, 0.0) for name in vehicle.linear_model.inputs])

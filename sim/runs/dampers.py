@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.parts.damper_range import range_of
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import bent_velocities, commands_of, squarable, stretching
+from sim.linear.dampers import closing_velocities, commands_of, squarable
 from sim.response.regime import MISSED
 from sim.response.response import Response
 
@@ -39,8 +40,8 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     period = steps_per_sample(how, float(whole.time[1]))
     late = round(how.delay * period)
     decided = np.arange(0, len(whole.time) - late, period)
-    states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
-    speeds, m = bent_velocities(vehicle, states @ stretching(vehicle).T), len(vehicle.linear_model.inputs)
+    closing, m = closing_velocities(vehicle, whole), len(vehicle.linear_model.inputs)
+    speeds = -range_of([vehicle]).effective_velocity(closing[:, None])[:, 0]
     by_force = {}
     for one in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import Dash
 from models.kinds.signals import Signal
-from models.vehicle.suspension_forces import ratio_at
+from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
@@ -92,7 +92,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
         return one.part.pull(response[one.deflection], x) if damper else one.part.pull(x, np.zeros_like(x))
 
     def ratio(response: Response) -> Array:
-        return ratio_at(vehicle, actuator, response[one.deflection])
+        return MotionRatios([vehicle]).of(actuator, response[one.deflection])
 
     return Diagram(
         f"{one.name.replace('_', ' ')}, {words}",
@@ -122,7 +122,7 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
         lambda response: (
             np.stack([response[name] for name in model.states], axis=-1)
             @ row
-            * (ratio_at(vehicle, one.force, response[vehicle.kind.pushed(one.force)]) / one.ratio)
+            * MotionRatios([vehicle]).turn(one.force, response[vehicle.kind.pushed(one.force)])
         ),
         lambda x, response: one.ramp(x, 0.0) - response[one.force],
         (

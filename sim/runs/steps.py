@@ -21,7 +21,7 @@ from models.common.arrays import Array
 from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
-from models.vehicle.suspension_forces import SuspensionForces, ratio_at
+from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.sampled_response import roundings
@@ -204,7 +204,7 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
 def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
     """Returns the vehicle's other signals at the starts by the equations, under given commands and loads, each of shape (K,)."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
-    kind, names, forces = vehicle.kind, physics.names, SuspensionForces([vehicle])
+    kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
     def pulls(d: Array, v: Array) -> Array:
         seen.append((d, v))
@@ -218,7 +218,7 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     shown |= dict(zip(vehicle.linear_model.inputs, given.T, strict=True))
     for one in vehicle.adjustable:
         coefficient, i = shown[one.force], places[one.force]
-        shown[one.force] = -coefficient * one.shape(ratio_at(vehicle, one.force, travels[:, i]) * speeds[:, i])
+        shown[one.force] = -coefficient * one.shape(ratios.of(one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))

@@ -148,7 +148,7 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
 
 def test_what_is_clipped_is_zero_while_nothing_is():
     """For a force that a damper gives exactly nothing is clipped, to the last bit; of others as much as the harness misses."""
-    of = range_of([read_vehicle("quarter_car_semi_active").adjustable], ["control_force"])
+    of = range_of([read_vehicle("quarter_car_semi_active")])
     rng = np.random.default_rng(1)
     closing, forces = rng.normal(size=(1000, 1, 1)), rng.normal(size=(1000, 1, 1)) * 300
     clipped, coefficient = of.clipped_off(forces, closing), forces / closing
