@@ -49,7 +49,7 @@ class RatioTable:
         """Returns r at deflections [m], shape (...)."""
         return np.interp(deflection, self.x, self.ratio)
 
-    @property
+    @cached_property
     def at_rest(self) -> float:
         """r(0)."""
         return float(self(np.zeros(())))

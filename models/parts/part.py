@@ -53,7 +53,11 @@ class Line:
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the pull of the line [N], shape (...)."""
-        return self.stiffness * d + self.damping * v + self.gain * u
+        total: Any = 0.0
+        for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
+            if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
+                total = total + slope * x
+        return total
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,24 @@ class AtRatio(Part):
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         ratio, travel = self.table.ratio_and_travel(d)
-        r = self.scale * ratio
-        pull = r * self.part.pull(self.scale * travel, r * v, z, u)
-        return pull - (ratio / self.table.at_rest - 1.0) * self.load if np.any(self.load) else pull
+        if not self._scaled:
+            pull = ratio * self.part.pull(travel, ratio * v, z, u)
+        else:
+            r = self.scale * ratio
+            pull = r * self.part.pull(self.scale * travel, r * v, z, u)
+        return pull - (ratio * self._lift - self.load) if self._loaded else pull
+
+    @cached_property
+    def _scaled(self) -> bool:
+        return bool(np.any(self.scale != 1))
+
+    @cached_property
+    def _loaded(self) -> bool:
+        return bool(np.any(self.load))
+
+    @cached_property
+    def _lift(self) -> Any:  # of a load per ratio
+        return self.load / self.table.at_rest
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         ratio, travel = self.table.ratio_and_travel(d)
@@ -121,3 +136,41 @@ class AtRatio(Part):
     @property
     def words(self) -> str:
         return self.part.words
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Part):
+    """Sum of parts without states, of which at most one has an input.
+
+    Attributes:
+        first, second: the parts, of which each may be a sum.
+    """
+
+    first: Part
+    second: Part
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "inputs", max(self.first.inputs, self.second.inputs))
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return self.first.pull(d, v, z, u) + self.second.pull(d, v, z, u)
+
+    @cached_property
+    def line(self) -> Line:
+        one, other = self.first.line, self.second.line
+        return Line(*(getattr(one, name) + getattr(other, name) for name in ("stiffness", "damping", "gain")))
+
+
+def together(parts: Sequence[Part]) -> Part | None:
+    """Returns parts through the same motion ratio over travel as one part, which asks the ratio once; None for other parts."""
+    total, inputs = parts[0], 0
+    for part in parts:
+        alike = (
+            isinstance(part, AtRatio) and isinstance(total, AtRatio) and part.table is total.table and part.scale == total.scale
+        )
+        inputs += part.inputs
+        if not alike or isinstance(part.table, Constant) or part.states or inputs > 1:
+            return None
+        if part is not parts[0]:
+            total = AtRatio(Sum(total.part, part.part), total.table, total.scale, total.load + part.load)
+    return total

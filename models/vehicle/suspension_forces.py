@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.parts.part import Stack, alike
+from models.parts.part import Part, Stack, alike
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -32,34 +32,31 @@ class SuspensionForces:
             contacts: False leaves out parts without effect before an end of the linear regime.
             whole: True adds the lines of elements of `[parts]`, which are in linear models, but not in the kinds' equations.
         """
-        first, inputs = vehicles[0], vehicles[0].linear_model.inputs
-        places = {one.deflection: i for i, one in enumerate(first.kind.suspensions)}
-        self.acts, self.states, self.inertance = np.zeros(len(places), dtype=bool), 0, None
-        groups, self._stacks = list[tuple[list[int], bool]](), list[tuple[Array | slice, Array | None, slice, Stack]]()
-        for k, one in enumerate(first.parts):
-            line = whole and not one.parameter
-            if not (one.part.acts or (line and one.acts)) or (by_motor and one.native) or (one.part.contact and not contacts):
-                continue
-            self.acts[places[one.deflection]] = True
-            for some, own in groups:
-                separate = one.deflection not in [first.parts[j].deflection for j in some]
-                if own == line and separate and all(alike(each.parts[some[0]].part, each.parts[k].part) for each in vehicles):
+        suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
+        rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
+        self.acts, self.states, self.inertance = np.zeros(len(suspensions), dtype=bool), 0, None
+        groups, self._stacks = list[list[int]](), list[tuple[Array | slice, Array | None, slice, Stack]]()
+        for k, (place, _, line) in enumerate(rows[0]):
+            self.acts[place] = True
+            for some in groups:
+                its_line = rows[0][some[0]][2]
+                elsewhere = place not in [rows[0][j][0] for j in some]
+                if line == its_line and elsewhere and all(alike(row[some[0]][1], row[k][1]) for row in rows):
                     some.append(k)
                     break
             else:
-                groups.append(([k], line))
-        for some, line in groups:
-            chosen = [first.parts[k] for k in some]
-            columns = np.array([places[one.deflection] for one in chosen])
-            own = np.array([inputs.index(one.place.force) for one in chosen]) if chosen[0].part.inputs else None
-            every = slice(None) if np.array_equal(columns, np.arange(len(places))) else columns
-            kept = slice(self.states, self.states + len(some) * chosen[0].part.states)
-            stack = Stack([[vehicle.parts[k].part for k in some] for vehicle in vehicles], line)
+                groups.append([k])
+        for some in groups:
+            columns, (_, part, line) = np.array([rows[0][k][0] for k in some]), rows[0][some[0]]
+            own = np.array([inputs.index(suspensions[i].force) for i in columns]) if part.inputs else None
+            every = slice(None) if np.array_equal(columns, np.arange(len(suspensions))) else columns
+            kept = slice(self.states, self.states + len(some) * part.states)
+            parts = [[row[k][1] for k in some] for row in rows]
             self.states = kept.stop
-            self._stacks.append((every, own, kept, stack))
-            if any(one.part.inertance for one in chosen):
-                self.inertance = np.zeros((len(vehicles), len(places))) if self.inertance is None else self.inertance
-                self.inertance[:, columns] += [[vehicle.parts[k].part.inertance for k in some] for vehicle in vehicles]
+            self._stacks.append((every, own, kept, Stack(parts, line)))
+            if part.inertance:
+                self.inertance = np.zeros((len(vehicles), len(suspensions))) if self.inertance is None else self.inertance
+                self.inertance[:, columns] += [[one.inertance for one in row] for row in parts]
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
         """Returns the forces without those of inertial parts [N], shape (..., N, s).
@@ -96,6 +93,23 @@ def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
     if z is None or kept.stop == kept.start:
         return None
     return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
+
+
+def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool]]:
+    """Returns the parts of a vehicle with the number of their suspension, and True for those with the force of their line."""
+    forces = list[tuple[int, Part, bool]]()
+    if not vehicle.parts:
+        return forces
+    from models.parts.ratio import together
+
+    for i, place in enumerate(vehicle.kind.suspensions):
+        here = [one for one in vehicle.parts if one.deflection == place.deflection and (contacts or not one.part.contact)]
+        acting = [one for one in here if (one.acts if whole else one.part.acts) and not (by_motor and one.native)]
+        own = [one.part for one in acting if not (whole and one.element)]
+        joined = together(own) if len(own) > 1 else None
+        forces += [(i, part, False) for part in (own if joined is None else [joined])]
+        forces += [(i, one.part, True) for one in acting if whole and one.element]
+    return forces
 
 
 class MotionRatios:
