@@ -118,7 +118,7 @@ class RatioTable:
         """Returns P of a spring that carries a load W [N] at rest, at `FINE` points."""
         slope = self.at_rest**2 * curve.slope - self.turn * load
         reach = [*self.x, *self.deflection(curve.x)]
-        x = np.unique([0.0, *reach, *np.linspace(min(reach), max(reach), FINE)])
+        x = np.unique(np.round([0.0, *reach, *np.linspace(min(reach), max(reach), FINE)], PLACES))
         force = self(x) * (curve(self.travel(x)) - load / self.at_rest) + load
         return ForceCurve(x, np.where(x == 0, 0.0, force), slope, f"{curve.words}, at its motion ratio")
 

@@ -32,6 +32,7 @@ Number = float | Array  # an array of shape (N,) for N runs side by side
 Quantity = Literal["deflection", "velocity", "force"]
 POINTS = 401  # of a drawn curve, rest among them
 STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
+SMALL, KINKED = 1e-6, 1e-3  # m or m/s, a motion about rest; share of the force beyond the line there, of a force with a kink
 CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
 
@@ -145,7 +146,9 @@ class Part(ABC):
     @property
     def kinked_at_rest(self) -> bool:
         """True if no motion is small enough for the line."""
-        return False
+        d, v = SMALL * np.array([[1, -1, 0, 0], [0, 0, 1, -1]])
+        at = d, v, np.zeros((4, self.states))
+        return bool(np.any(np.abs(self.beyond(*at)) > KINKED * np.abs(self.pull(*at))))
 
     def limits(self) -> Sequence[Limit]:
         """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""

@@ -99,7 +99,8 @@ class AtRatio(Part):
 
     @property
     def kinked_at_rest(self) -> bool:
-        return self.part.kinked_at_rest
+        """See `Part.kinked_at_rest`: a table with a kink at rest bends the force of a preload."""
+        return self.part.kinked_at_rest or bool(self.load and super().kinked_at_rest)
 
     @cached_property
     def range(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]

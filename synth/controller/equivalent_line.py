@@ -74,7 +74,7 @@ def equivalent_line(
     by_name = {one.name: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        own = {name: (shared[name] - one.part.line.of_preload) / one.ratio**2 for name, one in by_name.items()}
+        own = {name: float(shared[name] - one.part.line.of_preload) / one.ratio**2 for name, one in by_name.items()}
         of_parameters = {name: slope for name, slope in own.items() if by_name[name].parameter}
         elements = tuple(
             one.with_slope(own[one.name], by_name[one.name].damps) if one.name in own else one

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import root_scalar
 
+from models.characteristics.curve import ForceCurve
+from models.characteristics.ratio_table import RatioTable
 from models.common.errors import InputError
 from models.kinds.at_wheels import ratio_notes
 from models.parts.lines import lines_at_rest
@@ -399,3 +401,13 @@ def test_published_ride_frequencies():
     other = vehicle.with_parameters(sprung_mass=350.0, suspension_stiffness=50e3, motion_ratio=0.75)
     rate = other.kind.at_wheels(other.parameters)["suspension_stiffness"]
     assert (rate, round(np.sqrt(rate / 350.0) / (2 * np.pi), 2)) == (28125.0, 1.43)
+
+
+def test_slopes_over_travel():
+    """The slopes of a spring's force at the wheel stay within r^2 k - r' (N - k D), also where points of its tables coincide."""
+    x, r, k, load = np.array([-0.1, -0.05, 0.0, 0.05, 0.1]), np.array([0.9, 0.85, 0.8, 0.7, 0.65]), 12e3, 3924.0
+    ratios = RatioTable(x, r)
+    own = ForceCurve(ratios.travel(x), k * ratios.travel(x), k, "a line")
+    low, high = (np.diff(r) / np.diff(x) * (k * ratios.travel(x[i:][:4]) - load / 0.8) + k * r[i:][:4] ** 2 for i in (0, 1))
+    slopes = ratios.spring(own, load).slope_range
+    assert slopes == pytest.approx((np.minimum(low, high).min(), np.maximum(low, high).max()), rel=1e-3)  # 1e-3: FINE points

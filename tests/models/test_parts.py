@@ -19,7 +19,8 @@ import pytest
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import make_interp_spline
 
-from models.parts.part import Part
+from models.characteristics.ratio_table import RatioTable
+from models.parts.part import Line, Part, Straight
 from models.parts.ratio import AtRatio, Constant
 from models.parts.registry import PARTS, part_class
 from models.roads.road import Bump, RoadInput
@@ -597,3 +598,32 @@ def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     for own, one in zip(together, inputs, strict=True):
         assert np.array_equal(own, simulate([held(kind)], [one]).response.values[0])
     assert not np.array_equal(together[0], together[2])
+
+
+@dataclasses.dataclass(frozen=True)
+class Bent(Part):
+    """A damper with one rate in bump and another in rebound, a friction, or a cubic growth, with the line of `damping`."""
+
+    bump: float = 0.0
+    rebound: float = 0.0
+    friction: float = 0.0
+    cubic: float = 0.0
+    damping: float = 0.0
+
+    def pull(self, d, v, z=None, u=0.0):
+        return v * np.where(v > 0, self.rebound, self.bump) + self.friction * np.tanh(v / 0.01) + self.cubic * v**3
+
+    @property
+    def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Line(damping=self.damping)
+
+
+def test_a_kink_at_rest_is_found():
+    """A part is kinked at rest if its line is not the limit of small motions, also by a ratio over travel and a load."""
+    assert Bent(500.0, 1500.0, damping=1000.0).kinked_at_rest
+    assert Bent(500.0, 500.0, friction=80.0, damping=500.0).kinked_at_rest, "a line without the friction"
+    assert not Bent(500.0, 500.0, cubic=3e3, damping=500.0).kinked_at_rest
+    straight_one, bends, even = Straight(Line(2e4)), [0.8, 0.7, 0.65], [0.8, 0.7, 0.6]
+    for ratio, load, kinked in ((bends, 4e3, True), (bends, 0.0, False), (even, 4e3, False)):
+        table = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array(ratio))
+        assert AtRatio(straight_one, table, load=load).kinked_at_rest == kinked
