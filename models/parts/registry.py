@@ -25,20 +25,14 @@ def part_class(name: str) -> Any:
     return getattr(importlib.import_module(module), named)
 
 
-def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]:
-    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension.
-
-    Args:
-        contacts: True for contacts alone, such as bump stops.
-    """
+def parts_of(vehicle: Any) -> tuple[SuspensionPart, ...]:
+    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
     placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
-        classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
-        own = [one for each in classes for one in each.of(vehicle, place)]
-        rows = [(part, parameter, "") for part, parameter in own]
-        elements = [one for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
-        for part, parameter, name in [*rows, *((one.part, "", one.name) for one in elements)]:
-            ratio = place.motion_ratio(vehicle.parameters)
+        rows = [(part, parameter, "") for name in PARTS for part, parameter in part_class(name).of(vehicle, place)]
+        rows += [(one.part, "", one.name) for one in vehicle.elements if place.corner in one.corners]
+        ratio = place.motion_ratio(vehicle.parameters)
+        for part, parameter, name in rows:
             if (table := kind.table_of(place)) is None:
                 at_wheel = part.at_wheel(ratio) or AtRatio(part, Constant(), ratio)
                 placed.append(SuspensionPart(place, at_wheel, parameter, ratio, name))

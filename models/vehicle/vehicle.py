@@ -211,12 +211,8 @@ class Vehicle(Shown):
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
         """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
         strokes = dict[str, dict[str, float]]()
-        if not (self.limits.stopped or self.elements):
-            return strokes
-        from models.parts.registry import parts_of
-
-        for one in parts_of(self, contacts=True):
-            for limit in one.part.limits():
+        for one in self.parts:
+            for limit in one.part.limits() if one.part.contact else ():
                 if limit.end == BUMP_STOP:
                     strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
         return strokes
@@ -492,7 +488,7 @@ class Vehicle(Shown):
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         return [
             *remarks(known_quantities(self)),
-            *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
+            *suspension_doubts(self),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.strokes) if self.kind.ratios else []),
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),

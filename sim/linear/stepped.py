@@ -49,14 +49,13 @@ class Stepper:
         self._vehicle = vehicle
         self.model, acting, at_once = _with_lags(vehicle)
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
-        along, model = suspensions_of(vehicle, self._forces.acts), self.model
-        (n, m), s = model.B.shape, along.shown.shape[1]
-        self._n, self._s, self.shown, self.ratios = n, s, along.shown, MotionRatios([vehicle])
+        (rows, of_road, push, shown), model = suspensions_of(vehicle, self._forces.acts), self.model
+        (n, m), s = model.B.shape, shown.shape[1]
+        self._n, self._s, self.shown, self.ratios = n, s, shown, MotionRatios([vehicle])
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
-        rows = np.pad(np.vstack([along.travel, along.rate]), ((0, 0), (0, n - along.travel.shape[1])))
-        of_road = np.vstack([along.travel_of_road, along.rate_of_road]) + rows @ model.jump
-        of_inputs = np.zeros((2 * s, m))
+        rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
+        of_road = of_road + rows @ model.jump
         if felt:
             rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
             of_road = np.pad(of_road, ((0, m), (0, 0)))
@@ -73,7 +72,7 @@ class Stepper:
             stages.append(rows @ at + argument)
             rate = model.A @ at
             rate[:, n:forces] += held
-            rate[: len(along.push), forces + i * s : forces + (i + 1) * s] += along.push
+            rate[: len(push), forces + i * s : forces + (i + 1) * s] += push
             total = total + weight * timestep * rate
         every = np.vstack([total, *stages]).T
         self._of_states, self.by_inputs, self._outside = (
@@ -115,7 +114,8 @@ class Stepper:
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
         """
-        return self._pull(xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs)
+        y, s = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs, self._s
+        return self._forces(y[..., :s], y[..., s : 2 * s], y[..., 2 * s :] if self._still is None else self._still)
 
     def travels(self, xi: Array, heights: Array) -> Array:
         """Returns the deflections of the suspensions [m], shape (..., s); arguments as for `pulls`."""
@@ -145,11 +145,6 @@ class Stepper:
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
             response.values[:, response.names.index(name)] = total
         return response.values
-
-    def _pull(self, y: Array) -> Array:
-        s = self._s
-        inputs = y[..., 2 * s :] if self._still is None else self._still
-        return self._forces(y[..., :s], y[..., s : 2 * s], inputs)
 
 
 def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
