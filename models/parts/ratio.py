@@ -20,6 +20,8 @@ from models.common.arrays import Array
 from models.parts.native import Tendon
 from models.parts.part import CURVE, Limit, Line, Part
 
+FINE = 801  # points of a spring's curve over travel
+
 
 @dataclass(frozen=True)
 class Constant:
@@ -100,8 +102,12 @@ class AtRatio(Part):
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
             return own and own.at_wheel(self.scale)
-        table = self.table.scaled(self.scale * self.table.at_rest)
-        return table.spring(own, self.load) if self.part.argument == "deflection" else table.damper(own)
+        if self.part.argument != "deflection":
+            return self.table.scaled(self.scale * self.table.at_rest).damper(own)
+        ends = [*self.table.x, *self.table.deflection(own.x / self.scale)]
+        x = np.unique([0.0, *ends, *np.linspace(min(ends), max(ends), FINE)])
+        force = np.where(x == 0, 0.0, self.pull(x, np.zeros_like(x)))
+        return ForceCurve(x, force, float(self.line.stiffness), f"{own.words}, at its motion ratio")
 
     def limits(self) -> Sequence[Limit]:
         """Returns the part's limits at the wheel; over travel those of a curve become one of the force, which depends on more."""

@@ -211,8 +211,12 @@ class Vehicle(Shown):
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
         """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
         strokes = dict[str, dict[str, float]]()
-        for one in self.parts:
-            for limit in one.part.limits() if one.part.contact else ():
+        if not (self.limits.stopped or self.elements):
+            return strokes
+        from models.parts.registry import parts_of
+
+        for one in parts_of(self, contacts=True):
+            for limit in one.part.limits():
                 if limit.end == BUMP_STOP:
                     strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
         return strokes
@@ -235,11 +239,10 @@ class Vehicle(Shown):
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
         model = self.kind.model(self.parameters)
-        more = [one for one in self.parts if not one.parameter] if self.elements else []
-        more = [one for one in more if one.part.line.stiffness or one.part.line.damping]
+        more = [one for one in self.parts if one.added.sloped] if self.elements else []
         if not more:
             return model
-        names, lines = [one.deflection for one in more], [one.part.line for one in more]
+        names, lines = [one.deflection for one in more], [one.added for one in more]
         stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
         from models.kinds.at_wheels import force_effects
 
