@@ -1,12 +1,7 @@
 """Motion ratio that changes with travel: a table r(d) over the deflection d at the wheel, straight between its points.
 
-Beyond its points the ratio is constant. An element with the pull F over its own travel D, which is the integral of r from rest,
-and the preload N that carries the load W = r(0) N at rest, pulls at the wheel with
-
-    P(d) = r(d) (F(D(d)) - N) + W,    P'(0) = r(0)^2 F'(0) - r'(0) N,
-
-and a damper of force G over its velocity with r(d) G(r(d) d'). Where r' differs on both sides of rest, the linear model has its
-mean. `models.parts.ratio` has these forces, as of any other part.
+Beyond its points the ratio is constant. The travel D of an element's own ends is the integral of r from rest. The forces of an
+element at a ratio are those of `models.parts.ratio`.
 """
 
 from collections.abc import Callable
@@ -28,7 +23,6 @@ TRIALS = 12  # of the search for a deflection, which is exact after one within a
 FARTHEST, HALVINGS = 1.0, 60  # m, of the search for a rest
 COLUMNS = 41  # of a position-dependent damper: the error between them is the square of their distance, times r' / 8
 PLACES = 9  # decimal places of a deflection [m] at which tables have a point
-FINE = 801  # points of P where it is drawn or averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +107,6 @@ class RatioTable:
         for _ in range(TRIALS):
             d = d - (self.travel(d) - travel) / self(d)
         return d
-
-    def spring(self, curve: ForceCurve, load: float) -> ForceCurve:
-        """Returns P of a spring that carries a load W [N] at rest, at `FINE` points."""
-        slope = self.at_rest**2 * curve.slope - self.turn * load
-        reach = [*self.x, *self.deflection(curve.x)]
-        x = np.unique(np.round([0.0, *reach, *np.linspace(min(reach), max(reach), FINE)], PLACES))
-        force = self(x) * (curve(self.travel(x)) - load / self.at_rest) + load
-        return ForceCurve(x, np.where(x == 0, 0.0, force), slope, f"{curve.words}, at its motion ratio")
 
     def damper(self, curve: ForceCurve) -> ForceSurface:
         """Returns the force of a damper at the wheel over velocity and deflection.

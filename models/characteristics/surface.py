@@ -51,12 +51,10 @@ class ForceSurface(ForceCurve):
         return self.along(velocity, deflection) - self.slope * np.asarray(velocity)
 
     def scaled(self, factor: float) -> "ForceSurface":
-        """See `ForceCurve.scaled`."""
         scaled = {name: factor * getattr(self, name) for name in ("force", "slope", "table")}
         return self if factor == 1 else replace(self, **scaled)
 
     def at_wheel(self, ratio: float) -> "ForceSurface":
-        """See `ForceCurve.at_wheel`."""
         parts = {name: getattr(self, name) / ratio for name in ("velocities", "deflections", "x")}
         parts |= {name: ratio * getattr(self, name) for name in ("table", "force")}
         return self if ratio == 1 else replace(self, slope=ratio**2 * self.slope, **parts)
@@ -73,19 +71,16 @@ class ForceSurface(ForceCurve):
 
     @cached_property
     def bent(self) -> bool:
-        """See `ForceCurve.bent`."""
         v = self.velocities[:, None] / self.ratio  # of the suspension, at all points of the table
         return bool((np.abs(self.beyond(v, self.deflections)) > STRAIGHT * self.range).any())
 
     @property
     def slope_range(self) -> tuple[float, float]:
-        """See `ForceCurve.slope_range`."""
         steep = np.diff(self.table, axis=0) / np.diff(self.velocities)[:, None] * self.ratio**2
         return float(steep.min()), float(steep.max())
 
     @cached_property
     def range(self) -> float:
-        """See `ForceCurve.range`."""
         return float(np.abs(self.ratio * self.table).max())
 
     @cached_property

@@ -102,12 +102,10 @@ class RigidMotion:
             return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1) | self.body.guided))
 
     def read(self, state: Array, heights: Array) -> Array:
-        """See `Motion`."""
         q, hubs, rates, hub_rates = self._split(state)
         return np.concatenate([self._struts(q, hubs, rates, hub_rates)[0], hubs - heights, rates, hub_rates], axis=1)
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
-        """See `Motion`."""
         q, hubs, rates, hub_rates = self._split(state)
         spring, damper, tyre, rubber, unsprung, resting = self._corners
         d, v, J, up = self._struts(q, hubs, rates, hub_rates)
@@ -132,7 +130,6 @@ class RigidMotion:
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
-        """See `Motion`."""
         k = self.shape.shape[1]
         q, hubs, rates, _ = self._split(state)
         _, _, second, hub_second = self._split(self.rate(state, heights, inputs, pulls, loads))
@@ -141,17 +138,15 @@ class RigidMotion:
         if k > 1:
             # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
             x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
-            c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
-            sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
-            roll = q[:, 2:3] if k > 2 else np.zeros_like(sin)
-            over = np.sin(roll) * y + c - 2 * b * np.sin(roll / 2) ** 2
-            side, bend = np.cos(roll) * y - b * np.sin(roll), -np.sin(roll) * y - b * np.cos(roll)
-            by_q = np.stack([np.ones_like(over), -x * cos - over * sin, side * cos][:k], axis=-1)
+            sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self._tilt(q))
+            b, over = self.body.roll_arm or 0.0, side * y + s
+            sway, bend = turned * y - b * side, -side * y - b * turned
+            by_q = np.stack([np.ones_like(over), -x * cos - over * sin, sway * cos][:k], axis=-1)
             pitch_rate, roll_rate = rates[:, 1:2], rates[:, 2:3] if k > 2 else np.zeros_like(sin)
-            bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * side * sin
+            bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * sway * sin
             velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
             acceleration = acceleration + bent
-            over_datum = q[:, :1] - c - x * sin + over * cos
+            over_datum = q[:, :1] - (self.body.pitch_arm or 0.0) - x * sin + over * cos
             heights_now = [over_datum, hubs]
             turning[:, :1] = acceleration[:, :1]
             columns[1:1] = [velocity[:, 1:], acceleration[:, 1:]]
@@ -161,7 +156,6 @@ class RigidMotion:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """See `StoredEnergy`."""
         k = self.shape.shape[1]
         modes = [load.joint for load in LOADS[:k]] if k > 1 else ["sprung"]
         return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
@@ -247,9 +241,7 @@ class RigidMotion:
             d, v = q @ self.shape.T - hubs, rates @ self.shape.T - hub_rates
             return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
-        sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
-        roll = q[:, 2:3] if q.shape[1] > 2 else np.zeros_like(q[:, :1])
-        side, turned = np.sin(roll), np.cos(roll)
+        sin, cos, side, turned, _ = (np.reshape(one, (-1, 1)) for one in self._tilt(q))
         over = side * y  # of R_x (x, y, 0) = (x, y cos, y sin)
         along, across = x * cos + over * sin - x, y * turned - y
         rise = q[:, :1] - hubs - x * sin + over * cos

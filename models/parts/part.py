@@ -52,6 +52,11 @@ class Line:
     gain: Number = 0.0
     of_preload: Number = 0.0
 
+    @property
+    def sloped(self) -> bool:
+        """True if it pulls without an input."""
+        return bool(self.stiffness or self.damping)
+
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
         """Returns the pull of the line [N], shape (...)."""
         total: Any = 0.0
@@ -229,17 +234,20 @@ class SuspensionPart:
         """Name of the suspension's tendon in the MJCF."""
         return self.place.tendon
 
+    @cached_property
+    def added(self) -> Line:
+        """Its line beyond the vehicle's own springs and dampers, which have that of a parameter."""
+        return Line() if self.parameter else self.part.line
+
     @property
     def native(self) -> bool:
         """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
-        line = self.part.line
-        return self.part.native and (bool(self.parameter) or not (line.stiffness or line.damping))
+        return self.part.native and not self.added.sloped
 
     @property
     def acts(self) -> bool:
         """True if something is beyond the vehicle's own springs and dampers."""
-        line = self.part.line
-        return self.part.acts or (not self.parameter and bool(line.stiffness or line.damping))
+        return self.part.acts or self.added.sloped
 
     @property
     def damps(self) -> bool:

@@ -7,6 +7,7 @@ With the ratio r(d), the part's own travel D, which is the integral of r from re
 Where r' differs on both sides of rest, the line has its mean.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,10 +16,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from models.characteristics.curve import ForceCurve
-from models.characteristics.ratio_table import RatioTable
+from models.characteristics.ratio_table import PLACES, RatioTable
 from models.common.arrays import Array
 from models.parts.native import Tendon
 from models.parts.part import CURVE, Limit, Line, Part
+
+FINE = 801  # points of a spring's curve over travel
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,12 @@ class AtRatio(Part):
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
             return own and own.at_wheel(self.scale)
-        table = self.table.scaled(self.scale * self.table.at_rest)
-        return table.spring(own, self.load) if self.part.argument == "deflection" else table.damper(own)
+        if self.part.argument != "deflection":
+            return self.table.scaled(self.scale * self.table.at_rest).damper(own)
+        ends = [*self.table.x, *self.table.deflection(own.x / self.scale)]
+        x = np.unique(np.round([0.0, *ends, *np.linspace(min(ends), max(ends), FINE)], PLACES))
+        force = np.where(x == 0, 0.0, self.pull(x, np.zeros_like(x)))
+        return ForceCurve(x, force, float(self.line.stiffness), f"{own.words}, at its motion ratio")
 
     def limits(self) -> Sequence[Limit]:
         """Returns the part's limits at the wheel; over travel those of a curve become one of the force, which depends on more."""
@@ -164,14 +171,10 @@ class Sum(Part):
 
 def together(parts: Sequence[Part]) -> Part | None:
     """Returns parts through the same motion ratio over travel as one part, which asks the ratio once; None for other parts."""
-    total, inputs = parts[0], 0
-    for part in parts:
-        alike = (
-            isinstance(part, AtRatio) and isinstance(total, AtRatio) and part.table is total.table and part.scale == total.scale
-        )
-        inputs += part.inputs
-        if not alike or isinstance(part.table, Constant) or part.states or inputs > 1:
-            return None
-        if part is not parts[0]:
-            total = AtRatio(Sum(total.part, part.part), total.table, total.scale, total.load + part.load)
-    return total
+    own = [part for part in parts if isinstance(part, AtRatio) and not part.states]
+    first = own[0] if own else None
+    if first is None or len(own) < len(parts) or isinstance(first.table, Constant) or sum(part.inputs for part in own) > 1:
+        return None
+    if any(part.table is not first.table or part.scale != first.scale for part in own):
+        return None
+    return AtRatio(functools.reduce(Sum, (part.part for part in own)), first.table, first.scale, sum(part.load for part in own))

@@ -29,16 +29,16 @@ def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]
     """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension.
 
     Args:
-        contacts: True for contacts alone, such as bump stops.
+        contacts: True for contacts alone, such as bump stops, which do not depend on the other parts.
     """
     placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
         classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
-        own = [one for each in classes for one in each.of(vehicle, place)]
-        rows = [(part, parameter, "") for part, parameter in own]
-        elements = [one for one in vehicle.elements if place.corner in one.corners and (one.part.contact or not contacts)]
-        for part, parameter, name in [*rows, *((one.part, "", one.name) for one in elements)]:
-            ratio = place.motion_ratio(vehicle.parameters)
+        rows = [(part, parameter, "") for each in classes for part, parameter in each.of(vehicle, place)]
+        elements = [one for one in vehicle.elements if one.part.contact or not contacts]
+        rows += [(one.part, "", one.name) for one in elements if place.corner in one.corners]
+        ratio = place.motion_ratio(vehicle.parameters)
+        for part, parameter, name in rows:
             if (table := kind.table_of(place)) is None:
                 at_wheel = part.at_wheel(ratio) or AtRatio(part, Constant(), ratio)
                 placed.append(SuspensionPart(place, at_wheel, parameter, ratio, name))

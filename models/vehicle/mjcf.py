@@ -307,10 +307,6 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-# pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
-
-
 MOVED = 1e-2  # m, rad; less than a hub is above its road, and the cosine of a hinge's angle changes by 5e-5
 CHANGE = 1e-9  # of the largest entry of a matrix, or of a reading; the relative effect of rounding is 1e-15
 TRIALS = 3

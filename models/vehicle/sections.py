@@ -17,11 +17,9 @@ from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
-    from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
     from models.characteristics.ratio_table import RatioTable
     from models.kinds.kind import Suspension
-    from models.vehicle.limits_and_implementation import Limits
 
 
 PUSHING = "force"  # value of `actuators` in a controller's section
@@ -283,19 +281,14 @@ def _ratio(of: float, to: float) -> float:
     return of / to if to else 0.0
 
 
-def suspension_doubts(
-    kind: VehicleKind,
-    parameters: Mapping[str, float],
-    curves: Mapping[str, "ForceCurve"],
-    dampers: Mapping[str, "Damper"],
-    limits: "Limits",
-) -> list[str]:
+def suspension_doubts(vehicle: Any) -> list[str]:
     """Returns remarks on tables of springs, dampers and stops that are probably in another unit or of the other sign."""
-    if not (curves or dampers or limits.stopped):
+    kind, parameters, curves, dampers = vehicle.kind, vehicle.parameters, vehicle.curves, vehicle.dampers
+    if not (curves or dampers or vehicle.limits.stopped):
         return []
     from models.parts.plausibility import damper_doubts, length_doubts, stop_doubts
 
-    loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), limits.stops(kind.suspensions)
+    loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), vehicle.limits.stops(kind.suspensions)
     doubts = dict[str, None]()
     for part in kind.suspensions:
         load, k, ratio = loads.get(part.deflection), wheel.get(part.stiffness), part.motion_ratio(parameters)

@@ -239,11 +239,10 @@ class Vehicle(Shown):
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
         model = self.kind.model(self.parameters)
-        more = [one for one in self.parts if not one.parameter] if self.elements else []
-        more = [one for one in more if one.part.line.stiffness or one.part.line.damping]
+        more = [one for one in self.parts if one.added.sloped] if self.elements else []
         if not more:
             return model
-        names, lines = [one.deflection for one in more], [one.part.line for one in more]
+        names, lines = [one.deflection for one in more], [one.added for one in more]
         stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
         from models.kinds.at_wheels import force_effects
 
@@ -492,7 +491,7 @@ class Vehicle(Shown):
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         return [
             *remarks(known_quantities(self)),
-            *suspension_doubts(self.kind, self.parameters, self.curves, self.dampers, self.limits),
+            *suspension_doubts(self),
             *curve_notes(curves, self.kind, self.parameters),
             *(ratio_doubts(self.kind, self.strokes) if self.kind.ratios else []),
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),

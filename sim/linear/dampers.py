@@ -35,7 +35,7 @@ def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
     travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
-    return (of.at_rest - states @ stretching(vehicle).T) * MotionRatios([vehicle]).turns(travels)
+    return of.at_rest - states @ stretching(vehicle).T * MotionRatios([vehicle]).turns(travels)
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from models.common.arrays import Array
-from models.kinds.at_wheels import force_effects
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -49,12 +48,3 @@ class Elements:
     curves: "tuple[ForceCurve, ...]"
     push: Array
     outputs: Array
-
-
-def elements(vehicle: Vehicle) -> Elements:
-    """Returns the curves of a vehicle on its linear model."""
-    curved = [fitted for fitted in vehicle.fitted if fitted.curve.bent]
-    return Elements(
-        tuple(fitted.curve for fitted in curved),
-        *force_effects(vehicle.kind, vehicle.parameters, [fitted.deflection for fitted in curved]),
-    )

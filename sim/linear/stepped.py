@@ -49,14 +49,14 @@ class Stepper:
         self._vehicle = vehicle
         self.model, acting, at_once = _with_lags(vehicle)
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
-        along, model = suspensions_of(vehicle, self._forces.acts), self.model
-        (n, m), s = model.B.shape, along.shown.shape[1]
-        self._n, self._s, self.shown, self.ratios = n, s, along.shown, MotionRatios([vehicle])
+        (rows, of_road, push, shown), model = suspensions_of(vehicle, self._forces.acts), self.model
+        (n, m), s = model.B.shape, shown.shape[1]
+        self._n, self._s, self.shown, self.ratios = n, s, shown, MotionRatios([vehicle])
         felt = bool(vehicle.dampers or self.ratios.over_travel)
+        self._stretching = stretching(vehicle) if vehicle.dampers else np.zeros((m, n))
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
-        rows = np.pad(np.vstack([along.travel, along.rate]), ((0, 0), (0, n - along.travel.shape[1])))
-        of_road = np.vstack([along.travel_of_road, along.rate_of_road]) + rows @ model.jump
-        of_inputs = np.zeros((2 * s, m))
+        rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
+        of_road = of_road + rows @ model.jump
         if felt:
             rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
             of_road = np.pad(of_road, ((0, m), (0, 0)))
@@ -73,7 +73,7 @@ class Stepper:
             stages.append(rows @ at + argument)
             rate = model.A @ at
             rate[:, n:forces] += held
-            rate[: len(along.push), forces + i * s : forces + (i + 1) * s] += along.push
+            rate[: len(push), forces + i * s : forces + (i + 1) * s] += push
             total = total + weight * timestep * rate
         every = np.vstack([total, *stages]).T
         self._of_states, self.by_inputs, self._outside = (
@@ -115,11 +115,14 @@ class Stepper:
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
         """
-        return self._pull(xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs)
+        y, s = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs, self._s
+        return self._forces(y[..., :s], y[..., s : 2 * s], y[..., 2 * s :] if self._still is None else self._still)
 
-    def travels(self, xi: Array, heights: Array) -> Array:
-        """Returns the deflections of the suspensions [m], shape (..., s); arguments as for `pulls`."""
-        return (xi @ self._rows + heights @ self._of_road)[..., : self._s]
+    def speeds(self, xi: Array, heights: Array) -> Array:
+        """Returns the stretching rates of adjustable dampers [m/s], shape (..., m); arguments as for `pulls`."""
+        travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s]
+        x = (xi + heights @ self.model.jump.T)[..., : len(self._vehicle.linear_model.states)]
+        return x @ self._stretching.T * self.ratios.turns(travels)
 
     def response(self, road: RoadInput, xi: Array, inputs: Array, missing: Array) -> Array:
         """Returns all signals of a run, shape (T, S).
@@ -134,8 +137,7 @@ class Stepper:
             beyond = beyond + road.in_signals @ model.Dh.T
         if vehicle.dampers:
             coefficients = xi @ self._acting + inputs @ self._at_once
-            speeds = x[:, : len(vehicle.linear_model.states)] @ stretching(vehicle).T
-            speeds = speeds * self.ratios.turns(self.travels(xi, road.heights))
+            speeds = self.speeds(xi, road.heights)
             beside = damper_signals(vehicle, coefficients, missing)
             for one in vehicle.adjustable:
                 j = vehicle.linear_model.inputs.index(one.force)
@@ -145,11 +147,6 @@ class Stepper:
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
             response.values[:, response.names.index(name)] = total
         return response.values
-
-    def _pull(self, y: Array) -> Array:
-        s = self._s
-        inputs = y[..., 2 * s :] if self._still is None else self._still
-        return self._forces(y[..., :s], y[..., s : 2 * s], inputs)
 
 
 def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
@@ -175,57 +172,44 @@ def _with_lags(vehicle: Vehicle) -> tuple[LinearModel, Array, Array]:
 
 
 class _Laws:
-    """Laws of N runs side by side, which measure at their samples."""
+    """Laws of N runs side by side, which measure q signals at their samples. Those with fewer states than others have zeros."""
 
     def __init__(self, controllers: Sequence[Controller], inputs: Sequence[RoadInput], steps: Stepper, period: int) -> None:
         """Prepares the laws for a period of so many timesteps."""
-        self._forces, different = steps.model.B.shape[1], {id(one): one for one in controllers}
-        laws = dict[int, LinearLaw]()
+        model, different, laws = steps.model, {id(one): one for one in controllers}, dict[int, LinearLaw]()
         for key, one in different.items():
             with error_in(f"controller {one.name!r}:"):
                 laws[key] = one.law.sampled(period * inputs[0].timestep)
-        self.states = max(law.states for law in laws.values())
-        built = {key: self._built(steps, inputs[0].vehicle, one, laws[key]) for key, one in different.items()}
-        answers, readings, windups = zip(*(built[id(one)] for one in controllers), strict=True)
-        self.feels = any(steps.shown[[steps.model.outputs.index(name) for name in one.measured]].any() for one in controllers)
-        self._answers, self._one = np.stack(answers), answers[0] if len(different) == 1 else None
-        self.windup = np.stack(windups) if any(one.any() for one in windups) else None
+        self.states, self._forces = max(law.states for law in laws.values()), model.B.shape[1]
         self.idle = not (self.states or any(one.law.acts or one.preview is not None for one in controllers))
-        known = [np.hstack([road.heights, road.in_readings])[::period] for road in inputs]
-        self._known = np.stack([own @ one for own, one in zip(known, readings, strict=True)], axis=1)
+        measured = [*dict.fromkeys(name for one in different.values() for name in one.measured)]
+        rows = [model.outputs.index(name) for name in measured]
+        self.feels, self._readings = bool(steps.shown[rows].any()), np.hstack([model.C, model.D, steps.shown])[rows].T
+        outside = np.hstack([model.C @ model.jump + model.Cr, model.Dh])[rows].T
+        self._outside = np.stack([np.hstack([one.heights, one.in_readings])[::period] @ outside for one in inputs], axis=1)
+        gains, windups = dict[int, Array](), dict[int, Array]()
+        for key, law in laws.items():
+            own, idle = [measured.index(name) for name in different[key].measured], self.states - law.states
+            D, B = np.zeros((self._forces, len(rows))), np.zeros((law.states, len(rows)))
+            D[:, own], B[:, own] = law.D, law.B
+            gains[key] = np.pad(np.block([[D, law.C], [B, law.A]]), ((0, idle), (0, idle))).T
+            windups[key] = np.pad(anti_windup_gain(law), ((0, idle), (0, 0))).T
+        self._gains, self.windup = (np.stack([each[id(one)] for one in controllers]) for each in (gains, windups))
+        self._ahead = np.zeros((*self._outside.shape[:2], self._forces + self.states))
         for i, (one, road) in enumerate(zip(controllers, inputs, strict=True)):
             if one.preview is not None:
-                self._known[:, i, : self._forces] += forces_ahead(one.preview, road, period)[::period]
+                self._ahead[:, i, : self._forces] = forces_ahead(one.preview, road, period)[::period]
 
-    def _built(self, steps: Stepper, vehicle: Vehicle, controller: Controller, law: LinearLaw) -> tuple[Array, Array, Array]:
-        """Returns the gains from what `__call__` takes, from road and loads, and from clipped-off forces to the states of a law.
-
-        Laws with fewer states than others have zeros for the rest.
-        """
-        model, measured = steps.model, [steps.model.outputs.index(name) for name in controller.measured]
-        (n, m), idle, own = model.B.shape, ((0, self.states - law.states), (0, 0)), np.vstack([law.D, law.B])
-        C, of_road = model.C[measured], model.C[measured] @ model.jump + model.Cr[measured]
-        answer = np.hstack([own @ np.hstack([C, model.D[measured], steps.shown[measured]]), np.vstack([law.C, law.A])])
-        answer, known = np.pad(answer, (idle[0], idle[0])), np.pad(own @ np.hstack([of_road, model.Dh[measured]]), idle)
-        if not vehicle.dampers:
-            return answer.T, known.T, np.zeros((m, self.states))
-        closing = np.pad(-stretching(vehicle), ((0, 0), (0, n - len(vehicle.linear_model.states))))
-        answer = np.vstack([answer, np.pad(closing, ((0, 0), (0, answer.shape[1] - n)))])
-        known = np.vstack([known, np.pad(closing @ model.jump, ((0, 0), (0, model.Dh.shape[1])))])
-        return answer.T, known.T, np.pad(anti_windup_gain(law), idle).T
-
-    def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, kept: Array) -> tuple[Array, Array, Array]:
-        """Returns requested forces, states after the sample, and closing velocities, shapes (N, m), (N, k), and (N, m) or (N, 0).
+    def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, kept: Array) -> list[Array]:
+        """Returns requested forces, and states after the sample, shapes (N, m) and (N, k).
 
         Args:
             sample: number of the sample.
             xi, inputs, pulls: as of the vehicle, while the inputs act that acted before.
             kept: states of the laws, shape (N, k).
         """
-        known = np.concatenate([xi, inputs, pulls, kept], axis=1)
-        answer = (known @ self._one if self._one is not None else np.vecmat(known, self._answers)) + self._known[sample]
-        m, k = self._forces, self.states
-        return answer[:, :m], answer[:, m : m + k], answer[:, m + k :]
+        y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
+        return np.split(np.vecmat(np.concatenate([y, kept], axis=1), self._gains) + self._ahead[sample], [self._forces], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,12 +283,8 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
-    xi, kept, now, waiting = (
-        np.zeros((count, n)),
-        np.zeros((count, laws.states)),
-        np.zeros((count, m)),
-        dict[int, Sequence[Array]](),
-    )
+    xi, kept, now = (np.zeros((count, width)) for width in (n, laws.states, m))
+    waiting = dict[int, Sequence[Array]]()
     lost, by_inputs, unfelt = np.zeros((count, missing.shape[2])), None, np.zeros((count, steps.shown.shape[1]))
     for k in range(samples):
         states[k] = xi
@@ -312,11 +292,11 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
             if k % period == 0:  # a reading contains the forces that acted until then
                 kept_along[k // period] = kept
                 pulls = steps.pulls(xi, heights[k], now) if laws.feels else unfelt
-                requested, kept, closing = laws(k // period, xi, now, pulls, kept)
+                requested, kept = laws(k // period, xi, now, pulls, kept)
                 waiting[k + late] = (requested, lost)
                 if of is not None:
-                    closing = (closing + of.at_rest) * steps.ratios.turns(steps.travels(xi, heights[k]))
-                    if laws.windup is not None:
+                    closing = of.at_rest - steps.speeds(xi, heights[k])
+                    if laws.states:
                         kept = kept + np.vecmat(of.clipped_off(requested, closing), laws.windup)
                     waiting[k + late] = np.split(of.commands(np.concatenate([requested, closing], axis=1)), 2, axis=1)
             if k in waiting:

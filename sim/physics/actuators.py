@@ -60,12 +60,13 @@ class Actuators:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
     def turn(self, closing: Array, deflections: Array) -> None:
-        """Multiplies closing velocities, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
+        """Multiplies the closing velocities of dampers, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
 
         Args:
             deflections: of all suspensions [m], shape (N, s).
         """
-        closing *= self._ratios.turns(deflections)
+        if self._of is not None:
+            closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).

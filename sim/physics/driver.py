@@ -139,7 +139,6 @@ class LinearDriver:
         self._range: CoefficientRange | None = None
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """See `Driver.start`."""
         first = vehicles[0]
         signals = self.measured = tuple(name for name in first.linear_model.outputs if name in self.measured)
         period = steps_per_sample(first.implementation, timestep) * timestep
@@ -174,7 +173,6 @@ class LinearDriver:
         return np.zeros((count, k))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """See `Driver.step`."""
         m, q = self._forces, len(self._gain)
         # Zeros for the measurements of other controllers do not change the rounding.
         computed = sum(self._gain * y.T[:q, :, None], start=np.zeros(self._gain.shape[1:]))
@@ -201,7 +199,6 @@ class SemiActiveDriver:
         self.measured = self._laws[0].measured
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """See `Driver.start`."""
         from models.parts.damper_range import range_of
         from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 
@@ -213,7 +210,6 @@ class SemiActiveDriver:
         return np.zeros((len(vehicles), 0))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """See `Driver.step`."""
         numbers = self._numbers_at(y[:, self._signals :], slice(None))
         return self._laws[0].coefficients(y[:, : self._signals], numbers), state
 
@@ -258,7 +254,6 @@ class PythonDriver:
         return np.zeros((len(vehicles), 0))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """See `Driver.step`."""
         forces, runs = np.zeros((len(y), self._forces)), self._runs
         self._gone |= np.any(~(np.abs(y) <= WILD), axis=1)
         gone = self._gone[runs]
@@ -292,11 +287,9 @@ class RecordedDriver:
         self.measured, self._commands = runs[0].measured, np.stack([one.forces for one in runs], axis=1)
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """See `Driver.start`."""
         return np.zeros((len(vehicles), 0))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """See `Driver.step`."""
         return self._commands[k], state
 
 

@@ -186,22 +186,19 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
 
 
 def _stored(one: "SuspensionPart", deflection: Array) -> Array:
-    """Returns the energy that a part stores at deflections [J], shape (...).
-
-    Without the energy of a line that is a parameter, which is the vehicle's own spring.
-    """
-    return one.part.stored_beyond(deflection) if one.parameter else one.part.stored(deflection)
+    """Returns the energy that a part stores at deflections [J], shape (...), without that of the vehicle's own spring."""
+    return one.part.stored_beyond(deflection) + one.added.stiffness * np.square(deflection) / 2
 
 
 def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
-    Without what a line that is a parameter takes, and without the force of an input, whose work is counted apart.
+    It leaves out the vehicle's own damper, and the force of an input, whose work is counted apart.
     """
     if one.part.stores:
         return 0.0
-    powers = [v * (one.part.beyond(d, v) + (0.0 if one.parameter else one.part.line(d, v))) for d, v in length.stages]
-    return length.integral(powers) - (_stored(one, length.after) - _stored(one, length.d[:-1]))
+    taken = length.integral(v * (one.part.beyond(d, v) + one.added(d, v)) for d, v in length.stages)
+    return taken - (_stored(one, length.after) - _stored(one, length.d[:-1]))
 
 
 @dataclass(frozen=True, eq=False)

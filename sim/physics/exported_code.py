@@ -67,7 +67,6 @@ class CodeDriver:
         return np.zeros((len(vehicles), law.states))
 
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
-        """See `sim.physics.driver.Driver.step`."""
         given, after = np.empty_like(self._nominal), np.empty_like(state)
         for i, step in enumerate(self._steps):
             step.read(y[i, : len(self._sign)] * self._sign)

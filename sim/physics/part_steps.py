@@ -10,7 +10,7 @@ suspension pulls. The sum of the stages is that of `mj_RungeKutta`. All other fo
 
 import copy
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from mujoco.batch import Batch
 from models.common.arrays import Array
 from models.parts.native import MOTOR
 from models.vehicle.mjcf import FITTED
+from models.vehicle.suspension_forces import SuspensionForces
 from sim.response.recursion import SHARES, WEIGHTS
 
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -26,33 +27,6 @@ AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
 SUMMED = np.reshape(WEIGHTS, (-1, 1, 1))
 UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls; large, so that rounding is small
 NEARBY = 1e-5  # s, along the present velocities, for how levers change: the error is its square
-
-
-class Pulls(Protocol):
-    """Parts on s suspensions of N runs.
-
-    Attributes:
-        states: number k of the parts' own states.
-        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
-    """
-
-    states: int
-    inertance: Array | None
-
-    def __call__(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the forces that pull each suspension together [N], without inertial parts, shape (N, s).
-
-        Args:
-            d, v: deflections [m] and velocities [m/s] of the suspensions, shape (N, s).
-            inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
-                [N s/m], shape (N, m).
-            z: the parts' own states, shape (N, k).
-        """
-        ...
-
-    def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' own states, shape (N, k); arguments as for the forces."""
-        ...
 
 
 class PartBatch(Batch):
@@ -66,14 +40,15 @@ class PartBatch(Batch):
         self,
         model: mujoco.MjModel,
         tendons: Sequence[str],
-        pulls: Pulls,
+        pulls: SuspensionForces,
         count: int,
         models: Sequence[mujoco.MjModel] = (),
     ) -> None:
         """Prepares N runs.
 
         Args:
-            tendons: tendons of the s suspensions. The pulls act where the model has a motor on one.
+            tendons: tendons of the s suspensions.
+            pulls: forces of parts, which act where the model has a motor on a tendon.
             models: the model of each run, or none if all share one.
         """
         super().__init__(model, count, 1, persistent=True)  # an evaluation keeps the sensors of the one before

@@ -41,6 +41,7 @@ class EquivalentLine:
         vehicle: vehicle without curves.
         curves: the curves, e of them; a position-dependent damper is its mean over all deflections.
         signals: names of the signals on which they depend.
+        push, outputs: gains from their pulling forces to the rates of the states and to the outputs, shapes (n, e) and (p, e).
         slopes: slopes of their lines at the wheel, shape (e,).
         mean: means of all output signals, by name [the signal's unit].
         rounds: number of iterations.
@@ -49,6 +50,8 @@ class EquivalentLine:
     vehicle: Vehicle
     curves: tuple[ForceCurve, ...]
     signals: tuple[str, ...]
+    push: Array
+    outputs: Array
     slopes: Array
     mean: Mapping[str, float]
     rounds: int
@@ -69,7 +72,7 @@ def equivalent_line(
     placed = [one for one in vehicle.fitted if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
-    push, _ = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])
+    push, shown = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
     by_name = {one.name: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
@@ -95,7 +98,7 @@ def equivalent_line(
         if np.all(np.abs(new_slopes - slopes) <= CONSISTENT * np.abs(new_slopes).max()) and np.all(
             np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + spread)
         ):
-            return EquivalentLine(linear, tuple(curves), tuple(signals), of_line, outputs, rounds)
+            return EquivalentLine(linear, tuple(curves), tuple(signals), push, shown, of_line, outputs, rounds)
         step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
         slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None

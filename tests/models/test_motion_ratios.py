@@ -13,6 +13,8 @@ from models.characteristics.ratio_table import RatioTable
 from models.common.errors import InputError
 from models.kinds.at_wheels import ratio_notes
 from models.parts.lines import lines_at_rest
+from models.parts.ratio import AtRatio
+from models.parts.spring import SpringCurve
 from models.roads.choice import choose_road
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -409,5 +411,7 @@ def test_slopes_over_travel():
     ratios = RatioTable(x, r)
     own = ForceCurve(ratios.travel(x), k * ratios.travel(x), k, "a line")
     low, high = (np.diff(r) / np.diff(x) * (k * ratios.travel(x[i:][:4]) - load / 0.8) + k * r[i:][:4] ** 2 for i in (0, 1))
-    slopes = ratios.spring(own, load).slope_range
+    curve = AtRatio(SpringCurve(own), ratios, load=load).curve
+    assert curve is not None
+    slopes = curve.slope_range
     assert slopes == pytest.approx((np.minimum(low, high).min(), np.maximum(low, high).max()), rel=1e-3)  # 1e-3: FINE points

@@ -6,6 +6,7 @@ import pytest
 
 from models.parts.native import MOTOR
 from models.vehicle.mjcf import FITTED, build_spec, mocap_indices
+from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.part_steps import PartBatch
 
@@ -13,7 +14,7 @@ H, STEPS = 1e-3, 250
 LIMITS = "\n[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"
 
 
-class Toy:
+class Toy(SuspensionForces):
     """A hysteretic and a cubic force with one state on each suspension, a share of the actuators' forces, and an inerter."""
 
     def __init__(self, inertance: np.ndarray | None, count: int, suspensions: int) -> None:

@@ -10,12 +10,13 @@ import pytest
 from scipy import integrate, special, stats
 
 import sim.command.comparison
+from models.kinds.at_wheels import force_effects
 from models.roads.iso8608 import Iso8608
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
-from sim.linear.nonlinear_elements import elements
+from sim.linear.nonlinear_elements import Elements
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
@@ -84,7 +85,8 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
     parameters = [one.damping for one in plain.kind.suspensions]
     shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
     shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
-    controller, pulls = design(shaped, name), elements(shaped)
+    places = [one.deflection for one in shaped.fitted]
+    controller, pulls = design(shaped, name), Elements((), *force_effects(shaped.kind, shaped.parameters, places))
     index = [shaped.linear_model.outputs.index(one.argument) for one in shaped.fitted]
 
     def of(extra, forces=None):

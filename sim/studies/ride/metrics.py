@@ -222,8 +222,7 @@ class Meter:
         self.where = points(self.vehicle)
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
-        self.ratios = {name: np.array([[one.motion_ratios[name]] for one in vehicles]) for name, *_ in self.where.actuators}
-        self.turning = MotionRatios(vehicles)
+        self.ratios = MotionRatios(vehicles)
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         self.strokes = {
@@ -311,10 +310,7 @@ class Meter:
             if travel:
                 force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
                 work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
-                ratios = self.ratios[name]
-                if self.turning.over_travel:
-                    ratios = self.turning.of(name, along[:, :-1].T).T
-                work = work * np.diff(along, axis=1) * ratios
+                work = work * np.diff(along, axis=1) * self.ratios.of(name, along[:, :-1].T).T
                 self._add(power(name), work.sum(axis=1))
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 

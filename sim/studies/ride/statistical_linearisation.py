@@ -34,7 +34,7 @@ than `SHARP` of a force's variance, accelerations follow from the line alone, wi
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +46,7 @@ from models.common.printed import percent
 from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
-from sim.linear.nonlinear_elements import Elements, elements
+from sim.linear.nonlinear_elements import Elements
 from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
@@ -264,14 +264,12 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     if not vehicle.is_curved:
         return Equivalent(vehicle)
     line = equivalent_line(vehicle, controller, lambda car, signals: _deviations(car, controller, road, timestep, signals))
-    return line and _with_remainder(vehicle, line, controller, road, timestep)
+    return line and _with_remainder(line, controller, road, timestep)
 
 
-def _with_remainder(
-    vehicle: Vehicle, line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float
-) -> Equivalent:
+def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
     """Adds the remainders of the curves of a vehicle, if their iteration converges."""
-    pulls = replace(elements(vehicle), curves=line.curves)
+    pulls = Elements(line.curves, line.push, line.outputs)
     cut = continuous(line.vehicle, controller)
     poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
