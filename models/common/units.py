@@ -22,6 +22,8 @@ SIZES: Mapping[tuple[int, int, int], Mapping[str, float]] = {
     (0, 1, -2): {"g": 9.80665, "mg": 9.80665e-3},
     (1, 1, -2): FORCE | {"kgf": 9.80665},
     (1, 2, -2): {"J": 1.0},
+    (1, -1, -2): {"Pa": 1.0, "bar": 1e5, "psi": 6894.757293168361},
+    (0, 3, 0): {"l": 1e-3},
     (0, 0, -1): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
     (0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
 }
@@ -32,12 +34,12 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
         "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
         "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force", "kgf": "kg_force kp",
         "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "in/s": "ips", "lb": "lbs", "N s": "ns", "kN s": "kns",
-        "deg": "° degree degrees",
+        "deg": "° degree degrees", "l": "litre litres liter liters",
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
 PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}  # signs: micro, mu
-PREFIXED = ("m", "s", "N", "Hz", "J", "rad")  # no gram: g is the acceleration
+PREFIXED = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l")  # no gram: g is the acceleration
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")

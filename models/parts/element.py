@@ -84,6 +84,8 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[E
             for key in keys(Place)
             if key in given
         }
+        if "kind" not in given:
+            raise InputError(f"{where} kind is missing; give one of {listing(kinds)}")
         place = read(where, Place, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")

@@ -11,7 +11,7 @@ and everything that runs the vehicle adds what is beyond that line. A new part i
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -423,4 +423,8 @@ def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
             changed[one.name] = together(values, shape)
         elif any(bool(np.any(value != values[0])) for value in values):
             return None
-    return replace(first, **changed) if changed else first  # pyright: ignore[reportArgumentType]
+    if not changed:
+        return first
+    together = object.__new__(type(first))  # without `__post_init__`, whose rules hold for each and read single numbers
+    vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})  # pyright: ignore[reportArgumentType]
+    return together

@@ -126,7 +126,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     for fitted in vehicle.fitted:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
-        apart = np.abs(fitted.part.beyond(d, v)).max(initial=0.0) / fitted.part.range
+        apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range  # no samples: NaN
         shares[fitted.name] = max(shares.get(fitted.name, 0.0), float(apart))
     return shares
 

@@ -20,7 +20,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import make_interp_spline
 
 from models.characteristics.ratio_table import RatioTable
-from models.parts.part import Line, Part, Straight
+from models.common.errors import InputError
+from models.parts.part import Line, Part, Stack, Straight
 from models.parts.ratio import AtRatio, Constant
 from models.parts.registry import PARTS, part_class
 from models.roads.road import Bump, RoadInput
@@ -616,6 +617,24 @@ class Bent(Part):
     @property
     def line(self) -> Line:  # pyright: ignore[reportIncompatibleVariableOverride]
         return Line(damping=self.damping)
+
+
+@dataclasses.dataclass(frozen=True)
+class Ruled(Bent):
+    """The damper with two rates, of which that of rebound is the larger one."""
+
+    def __post_init__(self):
+        if self.bump > self.rebound:
+            raise InputError("bump is larger than rebound")
+
+
+def test_a_rule_between_numbers_is_for_each_part():
+    """Parts whose rule between numbers reads single numbers are stacked, as in a campaign; each force is that of its part."""
+    rows = [Ruled(500.0, 1500.0), Ruled(400.0, 1600.0)]
+    v = np.array([[0.3], [-0.2]])
+    assert Stack([[one] for one in rows]).beyond(0 * v, v).tolist() == [[450.0], [-80.0]]
+    with pytest.raises(InputError):
+        Ruled(2.0, 1.0)
 
 
 def test_a_kink_at_rest_is_found():
