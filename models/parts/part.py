@@ -370,6 +370,8 @@ class Stack:
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
+        if len(self._groups) == 1 and not self._line:  # in each stage of a step
+            return self._groups[0][0].beyond(d, v, z, u)
         return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
