@@ -12,6 +12,7 @@ from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.parts import part as parts
 from models.parts.part import Stack
 from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import way_in_step
 from sim.response.response import Response
 
 if TYPE_CHECKING:
@@ -229,7 +230,7 @@ def _way(vehicle: Vehicle, timestep: float, predicted: bool, anti_windup: bool) 
     if not (anti_windup or vehicle.limits.limits_commands):
         return 0.0
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
-    return float(-np.expm1(-z)) if predicted else z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
+    return float(-np.expm1(-z)) if predicted else way_in_step(z)
 
 
 class EndDetector:
