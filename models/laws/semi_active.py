@@ -54,18 +54,10 @@ class LawCoefficients:
     crossover: Quantity
     still: float = STILL
 
-    def subset(self, which: Array | slice) -> "LawCoefficients":
-        """Returns the coefficients of some of the vehicles."""
-        return self._of_each(lambda quantity: quantity[which])
-
     def alone(self, j: int) -> "LawCoefficients":
         """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
-        return self._of_each(lambda quantity: float(quantity[0, j]))
-
-    def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
-        """Returns the coefficients with a function applied to each quantity."""
-        damped, moved = ([taken(factor) for factor in factors] for factors in self.modes)
-        others = {name: taken(value) for name, value in vars(self).items() if name not in ("modes", "still")}
+        damped, moved = ([float(factor[0, j]) for factor in factors] for factors in self.modes)
+        others = {name: float(value[0, j]) for name, value in vars(self).items() if name not in ("modes", "still")}
         return replace(self, modes=(damped, moved), **others)
 
 

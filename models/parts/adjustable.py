@@ -148,21 +148,6 @@ class Adjustable(SettablePart):
                 )
 
     @property
-    def steepest_slope(self) -> float:
-        """The steepest slope of the damper at any setting [N s/m], without the parallel curve."""
-        pair = self.damper.pair
-        return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
-
-    def shape(self, v: Array) -> Array:
-        """Returns h [m/s] at velocities [m/s], shape (...)."""
-        return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
-
-    def ramp(self, v: Array, beyond: Array | float) -> Array:
-        """Returns its force at velocities and coefficients beyond the nominal one [N], shape (...)."""
-        still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
-        return still + beyond * self.shape(v)
-
-    @property
     def offset(self) -> ForceCurve | None:
         """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being h's line at rest.
 

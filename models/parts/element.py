@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
+from models.characteristics.stops import holds
 from models.common.errors import InputError, alike, error_in, listing
 from models.common.schema import SI, Listed, Section, Text, keys, read
 from models.parts.part import Part, Straight
@@ -100,7 +101,7 @@ def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
     """Returns the corners of some suspensions or axles; all of them by default."""
     chosen = list[str]()
     for place in at:
-        here = [corner for corner in corners if f"{corner}_".startswith(f"{place}_")]
+        here = [corner for corner in corners if holds(place, corner)]
         if not here:
             known = f"it has {listing(corners)}" if any(corners) else "omit at, as there is only one suspension"
             raise InputError(f"at = {place!r} is not a suspension or an axle of this vehicle; {known}")

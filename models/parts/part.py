@@ -317,17 +317,19 @@ class SettablePart(Part):
         return self.damper.c_max - self.nominal
 
     @property
-    @abstractmethod
     def steepest_slope(self) -> float:
         """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
+        pair = self.damper.pair
+        return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
 
-    @abstractmethod
     def shape(self, v: Array) -> Array:
-        """Returns the force per coefficient at velocities of the damper's own [m/s], shape (...)."""
+        """Returns the force per coefficient, h [m/s], at velocities of the damper's own [m/s], shape (...)."""
+        return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
-    @abstractmethod
     def ramp(self, v: Array, beyond: Array | float) -> Array:
         """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
+        still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
+        return still + beyond * self.shape(v)
 
 
 @dataclass(frozen=True)
@@ -376,6 +378,8 @@ class Stack:
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
+        if len(self._groups) == 1 and not self._line:  # in each stage of a step
+            return self._groups[0][0].beyond(d, v, z, u)
         return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:

@@ -45,12 +45,6 @@ class Stops(Part):
         """True if they push back at all."""
         return self.bump.pushes or self.rebound.pushes
 
-    @property
-    def alike(self) -> bool:
-        """True if one spring with a dead band replaces both: its force is odd, without x^2."""
-        bump, rebound = self.bump.stiffness, self.rebound.stiffness
-        return bump == rebound and not isinstance(bump, StopTable) and not bump[1]
-
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return sum((sign * stop.acts(beyond) for sign, stop, beyond in self._squeezed(d)), np.zeros_like(d))
 
@@ -68,11 +62,12 @@ class Stops(Part):
     def write(self, tendon: Tendon) -> None:
         """Writes springs with a dead band of the stroke; a stop with a table is the pieces of its curve. See `Part.write`.
 
-        If bump and rebound differ, each is a spring that is slack to the other side.
+        One spring replaces both if its force is odd, without x^2. Else each is a spring that is slack to the other side.
         """
+        bump, rebound = self.bump.stiffness, self.rebound.stiffness
         low, high = tendon.rest - self.bump.stroke, tendon.rest + self.rebound.stroke
-        if self.alike and not isinstance(self.bump.stiffness, StopTable):
-            tendon.add_spring("stop", (low, high), self.bump.stiffness)
+        if bump == rebound and not isinstance(bump, StopTable) and not bump[1]:
+            tendon.add_spring("stop", (low, high), bump)
             return
         for side, (sign, stop) in self.sides.items():
             if isinstance(stop.stiffness, StopTable):

@@ -1,7 +1,7 @@
 """Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts. Motion ratios of inputs."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,31 +68,30 @@ class SuspensionForces:
             z: the parts' own states, shape (..., N, k).
         """
         pulls = None
-        for columns, own, kept, parts in self._stacks:
-            u, states = 0.0 if own is None else inputs[..., own], _of_columns(z, kept, parts)
+        for columns, _, parts, at in self._at(d, v, inputs, z):
+            pull = parts.beyond(*at)
             if isinstance(columns, slice):
-                pull = parts.beyond(d, v, states, u)
                 pulls = pull if pulls is None else pulls + pull
             else:
                 pulls = np.zeros(d.shape) if pulls is None else pulls
-                pulls[..., columns] += parts.beyond(d[..., columns], v[..., columns], states, u)
+                pulls[..., columns] += pull
         return np.zeros(d.shape) if pulls is None else pulls
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
         """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""
         rates = np.empty(z.shape)
-        for columns, own, kept, parts in self._stacks:
+        for _, kept, parts, at in self._at(d, v, inputs, z):
             if kept.stop > kept.start:
-                u, states = 0.0 if own is None else inputs[..., own], z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
-                rates[..., kept] = parts.rate(d[..., columns], v[..., columns], states, u).reshape(*z.shape[:-1], -1)
+                rates[..., kept] = parts.rate(*at).reshape(*z.shape[:-1], -1)
         return rates
 
-
-def _of_columns(z: Array | None, kept: slice, parts: Stack) -> Array | None:
-    """Returns the states of some parts, shape (..., N, columns, states); None for parts without."""
-    if z is None or kept.stop == kept.start:
-        return None
-    return z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
+    def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, slice, Stack, Any]]:
+        """Yields parts that are evaluated together, with their suspensions and states, and what they take."""
+        for columns, own, kept, parts in self._stacks:
+            states = None
+            if z is not None and kept.stop > kept.start:
+                states = z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
+            yield columns, kept, parts, (d[..., columns], v[..., columns], states, 0.0 if own is None else inputs[..., own])
 
 
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool]]:

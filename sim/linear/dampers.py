@@ -6,6 +6,7 @@ from models.common.arrays import Array
 from models.parts.damper_range import range_of
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import way_in_step
 from sim.response.response import Response
 from synth.controller.controller import Controller
 
@@ -69,9 +70,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
     """
     of = range_of([vehicle])
     closing = of.at_rest - states @ stretching(vehicle).T
-    m = inputs.shape[1]
     commands = of.commands(np.concatenate([inputs, closing], axis=-1)[:, None])[:, 0]
-    return damper_signals(vehicle, commands[:, :m], commands[:, m:])
+    return damper_signals(vehicle, *np.split(commands, 2, axis=-1))
 
 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
@@ -90,9 +90,7 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
         acting = physics[adjustable.coefficient] - adjustable.nominal
         commands[:, j], commands[:, m + j] = acting, physics[adjustable.missing]
         if adjustable.damper.bandwidth is not None:
-            z = adjustable.damper.bandwidth * h
-            share = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
-            commands[:-1, j] = acting[:-1] + np.diff(acting) / share
+            commands[:-1, j] = acting[:-1] + np.diff(acting) / way_in_step(adjustable.damper.bandwidth * h)
     return np.nan_to_num(commands, nan=0.0, posinf=0.0, neginf=0.0)
 
 

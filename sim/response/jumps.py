@@ -27,9 +27,8 @@ class Jumps:
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
         rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
-        along = {force: vehicle.kind.pushed(force) for force in forces}
         self.ratios = MotionRatios(vehicles)
-        self.along = {force: index[along[force]] for force in self.ratios.over_travel}
+        self.along = {force: index[vehicle.kind.pushed(force)] for force in self.ratios.over_travel}
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
@@ -48,22 +47,17 @@ class Jumps:
 
     def __call__(self, values: Array) -> dict[str, Array]:
         """Returns the jumps of each signal that jumps, shape (N, B), for the next block of signals, shape (B, S, N)."""
-        ratios = {force: self._ratio(force, values) for force in self.index}
-        of_force = {force: self._jump(force, values, ratio) for force, ratio in ratios.items()}
+        # Motion ratios that change with travel, over those at rest, shape (N, B).
+        ratios = {force: self.ratios.turn(force, values[:, place]).T for force, place in self.along.items()}
+        of_force = {force: self._jump(force, values, ratios.get(force, 1.0)) for force in self.index}
         jumps = {}
         for name, shares in self.shares.items():
             for force, share in shares.items():
                 part = share * of_force[force]
-                if name != force and force in self.along:
+                if name != force and force in ratios:
                     part *= ratios[force]
                 jumps[name] = jumps[name] + part if name in jumps else part
         return jumps
-
-    def _ratio(self, force: str, values: Array) -> Array | float:
-        """Returns the motion ratio of a force over that at rest, shape (N, B), or 1 if it does not change."""
-        if force not in self.along:
-            return 1.0
-        return self.ratios.turn(force, values[:, self.along[force]]).T
 
     def _jump(self, force: str, values: Array, ratio: Array | float) -> Array:
         """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def lagging(commands: Array, z: Array) -> Array:
         commands: commands, held from each sample to the next, shape (T, m).
         z: rate of every lag times the timestep, shape (m,); 0 for none: its command acts at once.
     """
-    way = _way(z)
+    way = way_in_step(z)
     return np.where(z > 0, recursion(np.diag(1 - way), way * commands), commands)
 
 
@@ -50,7 +51,7 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
         now: values at the samples, shape (T, m); without a lag the commands.
         z: product of lag and timestep, see `lagging`.
     """
-    way, before, gone = _way(z), now[:-1], np.zeros_like(now[:-1])
+    way, before, gone = way_in_step(z), now[:-1], np.zeros_like(now[:-1])
     change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()
     for share in SHARES:
         gone = share * z * (change - gone)
@@ -58,6 +59,6 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
     return stages
 
 
-def _way(z: Array) -> Array:
-    """Returns the share of the distance to its command that a lag covers in a step of RK4."""
+def way_in_step(z: Any) -> Any:
+    """Returns the share of the distance to its command that a lag covers in a step of RK4, from rate times timestep, (...)."""
     return z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))

@@ -12,6 +12,7 @@ from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.parts import part as parts
 from models.parts.part import Stack
 from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import way_in_step
 from sim.response.response import Response
 
 if TYPE_CHECKING:
@@ -45,15 +46,24 @@ class Threshold:
 
     def of(self, response: Response) -> Array:
         """Returns the signal of a response, the equivalent deflection of a tyre, or the force beyond a damper's line."""
-        if self.part is not None:
-            return self.part.part.beyond(response[self.part.deflection], response[self.part.place.velocity.name])
-        if self.tyre is None:
-            return response[self.signal]
-        return response[self.signal] + self.tyre.time * (response[self.tyre.hub] - response[self.tyre.road])
+        return reading([self])(lambda name: response[name][..., None])[..., 0]
 
     def towards(self, values: Array) -> Array:
         """Returns the values of the signal in the threshold's direction."""
         return self.sign * values if self.sign else np.abs(values)
+
+
+def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], Array]:
+    """Returns a function to what the limits of N runs are on, shape (..., N), from one that returns signals by name, alike."""
+    first = limits[0]
+    if first.part is not None:
+        stack, place = Stack([[one.part.part] for one in limits if one.part is not None]), first.part.place
+        return lambda get: stack.beyond(get(place.deflection)[..., None], get(place.velocity.name)[..., None])[..., 0]
+    tyre = next((one.tyre for one in limits if one.tyre is not None), None)
+    if tyre is None:
+        return lambda get: get(first.signal)
+    times = np.array([0.0 if one.tyre is None else one.tyre.time for one in limits])  # c / k of every run [s]
+    return lambda get: get(first.signal) + times * (get(tyre.hub) - get(tyre.road))
 
 
 @dataclass(frozen=True)
@@ -220,7 +230,7 @@ def _way(vehicle: Vehicle, timestep: float, predicted: bool, anti_windup: bool) 
     if not (anti_windup or vehicle.limits.limits_commands):
         return 0.0
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
-    return float(-np.expm1(-z)) if predicted else z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
+    return float(-np.expm1(-z)) if predicted else way_in_step(z)
 
 
 class EndDetector:
@@ -258,9 +268,9 @@ class EndDetector:
         self.way = np.array([_way(one, h, predicted, flag) for one, flag in zip(vehicles, flags, strict=True)])
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
         self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
-        names = [signal.name for signal in vehicles[0].kind.signals]
+        self.places = {signal.name: i for i, signal in enumerate(vehicles[0].kind.signals)}
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
-        self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
+        self.road = {self.places[tyre]: self.places[road] for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
         # (end, threshold of the first run, its signal, the value of every run, what the limit is on)
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
@@ -269,9 +279,9 @@ class EndDetector:
             (
                 end,
                 limits[0],
-                names.index(limits[0].signal),
+                self.places[limits[0].signal],
                 AT * np.array([limit.value for limit in limits]),
-                self._reader(limits, names),
+                reading(limits),
             )
             for end in range(len(REGIME_ENDS))
             for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
@@ -295,7 +305,7 @@ class EndDetector:
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
         for end, threshold, signal, limit, read in self.limits:
-            towards = threshold.towards(read(values))
+            towards = threshold.towards(read(lambda name: values[:, self.places[name]]))
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
             self._note(end, start, towards >= limit)
@@ -303,21 +313,6 @@ class EndDetector:
                 demands = self._demands(signal, values)
                 # The first of a later block is that of the last sample before it.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
-
-    @staticmethod
-    def _reader(limits: Sequence[Threshold], names: Sequence[str]) -> Callable[[Array], Array]:
-        """Returns a function from a block of signals to what the limits of N runs are on, shape (B, N); see `Threshold.of`."""
-        signal, tyres = names.index(limits[0].signal), [limit.tyre for limit in limits]
-        if ones := [limit.part for limit in limits if limit.part is not None]:
-            stack, d, v = Stack([[one.part] for one in ones]), names.index(ones[0].deflection), ones[0].place.velocity.name
-            speed = names.index(v) if v in names else None
-            return lambda values: _beyond(stack, values[:, d], None if speed is None else values[:, speed])
-        first = next((tyre for tyre in tyres if tyre is not None), None)
-        if first is None:
-            return lambda values: values[:, signal]
-        hub, road = names.index(first.hub), names.index(first.road)
-        times = np.array([0.0 if tyre is None else tyre.time for tyre in tyres])  # c / k of every run [s]
-        return lambda values: values[:, signal] + times * (values[:, hub] - values[:, road])
 
     def _note(self, end: int, start: int, beyond: Array) -> None:
         """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""
@@ -342,10 +337,6 @@ class EndDetector:
         self.hubs[tyre] = hubs[-2:]
         before = 2 * hubs[1:-1] - hubs[:-2]
         return np.where(hub - before > JUMP, road - before, -np.inf)
-
-
-def _beyond(parts: Stack, d: Array, v: Array | None) -> Array:
-    return parts.beyond(d[..., None], np.zeros((*d.shape, 1)) if v is None else v[..., None])[..., 0]
 
 
 def reached(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:

@@ -241,7 +241,7 @@ def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Arr
     requested = np.array(requests).reshape(len(requests), -1) if requests else np.zeros((0, 0))
     if not vehicle.dampers or driver.requests == "commands":
         return requested
-    of = range_of([vehicle])
+    of, closing = range_of([vehicle]), samples.closing[: len(requested)]
     if driver.requests == "coefficients":
-        return of.clip_coefficients(requested, samples.closing)
-    return of.commands(np.concatenate([requested, samples.closing], axis=1))
+        return of.clip_coefficients(requested, closing)
+    return of.commands(np.concatenate([requested, closing], axis=1))

@@ -82,17 +82,14 @@ def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
 
 def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     signal = vehicle.kind.signal(one.argument)
-    actuator = one.place.force
-    damper = one.damps
+    actuator, damper, ratios = one.place.force, one.damps, MotionRatios([vehicle])
     pushed = damper and not one.element and actuator in vehicle.linear_model.inputs
     words = signal.name.replace("_", " ")
     what, ending = one.element or ("damper" if damper else "spring"), _ending(one.deflection)
 
-    def pull(x: Array, response: Response) -> Array:
-        return one.part.pull(response[one.deflection], x) if damper else one.part.pull(x, np.zeros_like(x))
-
-    def ratio(response: Response) -> Array:
-        return MotionRatios([vehicle]).of(actuator, response[one.deflection])
+    def force(x: Array, response: Response) -> Array:
+        pull = one.part.pull(*((response[one.deflection], x) if damper else (x, np.zeros_like(x))))
+        return pull - ratios.of(actuator, response[one.deflection]) * response[actuator] if pushed else pull
 
     return Diagram(
         f"{one.name.replace('_', ' ')}, {words}",
@@ -100,7 +97,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
         _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
         _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
         lambda response: response[signal.name],
-        lambda x, response: pull(x, response) - (ratio(response) * response[actuator] if pushed else 0.0),
+        force,
         (
             _line(what, ending, "curve", "solid", 1.8, one.curve),
             _line(what, ending, "line at rest", "dash", 1.0, lambda x: one.curve.slope * x),

@@ -21,6 +21,8 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics.actuators import Actuators
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import simulate
+from sim.runs import by_name
+from sim.runs.dampers import shortfalls
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from sim.studies.frequency.sweep import failures, sweep
 from sim.studies.ride.expected import expect
@@ -277,6 +279,23 @@ def test_semi_active_laws_over_travel(sort, monkeypatch):
     right = Actuators.turn
     monkeypatch.setattr(Actuators, "turn", lambda own, closing, d: right(own, np.multiply(closing, 1.02, out=closing), d))
     assert not driven(vehicle, "held", "bump:height=0.08", 0.2).agrees  # as the damper's velocity is measured
+
+
+def test_a_force_beside_a_damper_over_travel():
+    """An actuator that pushes beside a damper gives the requested force at every deflection, and the damper misses the rest."""
+    dampers = "[actuators.front]\nkind = 'damper'\nc_min = 100.0\nc_max = 9e3\n"
+    vehicle = parse_vehicle(over_travel("half_car", "linear").text + dampers)
+
+    def constant(t, y):
+        return np.array([300.0, 500.0])
+
+    constant.measured = ("suspension_deflection_rear",)
+    [pushed] = by_name.run(vehicle, constant, Bump(height=0.05), duration=0.3)
+    assert pushed.passed
+    assert np.ptp(pushed.physics["suspension_deflection_rear"]) > 0.01
+    assert np.abs(pushed.physics["control_force_rear"] - 500.0).max() < 1e-9
+    missing = np.sqrt(np.mean(pushed.physics["missing_force_front"] ** 2))
+    assert shortfalls(vehicle, pushed.physics)["control_force_front"].rms == pytest.approx(missing / 300.0, rel=1e-9)
 
 
 def test_a_stop_over_travel():

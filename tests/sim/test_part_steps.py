@@ -1,5 +1,7 @@
 """Steps of MuJoCo with parts that have their own states, inputs and inertia, against equations that are written out here."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ class Toy(SuspensionForces):
         self.inertance, self.states = inertance, suspensions
         self.size = 1.0 + np.arange(count * suspensions).reshape(count, suspensions) / 4
 
-    def __call__(self, d, v, inputs, z):
+    def __call__(self, d, v, inputs, z: Any = None):
         share = 0.2 * inputs if inputs.shape == d.shape else 0.0
         return self.size * (2e4 * z + 4e6 * d**3) - share
 
