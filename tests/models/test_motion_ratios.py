@@ -289,7 +289,7 @@ def test_a_force_beside_a_damper_over_travel():
     def constant(t, y):
         return np.array([300.0, 500.0])
 
-    constant.measured = ("suspension_deflection_rear",)
+    constant.measured = ("suspension_deflection_rear",)  # pyright: ignore[reportFunctionMemberAccess]
     [pushed] = by_name.run(vehicle, constant, Bump(height=0.05), duration=0.3)
     assert pushed.passed
     assert np.ptp(pushed.physics["suspension_deflection_rear"]) > 0.01
