@@ -97,7 +97,8 @@ class ForceCurve:
 
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""
-        return self.slope * np.asarray(x) + self.pieces.force(x)
+        line = self.slope * np.asarray(x)
+        return line + self.pieces.force(x) if self.bent else line
 
     def scaled(self, factor: float) -> "ForceCurve":
         """Returns the curve with all forces multiplied by a factor."""
