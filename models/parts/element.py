@@ -3,12 +3,12 @@
 Every part of the registry that is a section of a file can be such an element: its fields are its keys.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from models.characteristics.stops import holds
-from models.common.errors import InputError, alike, error_in, listing
+from models.characteristics.stops import holds, places_of
+from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.schema import SI, Listed, Section, Text, keys, read
 from models.parts.part import Part, Straight
 from models.parts.registry import PARTS, part_class
@@ -66,11 +66,12 @@ def element_kinds() -> dict[str, type[Section]]:
     return {name: part_class(name) for name in PARTS if issubclass(part_class(name), Section)}
 
 
-def read_elements(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Element, ...]:
+def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Collection[str] = ()) -> tuple[Element, ...]:
     """Reads `[parts]`.
 
     Args:
         corners: names of the suspensions' corners.
+        taken: names of parameters, which no element may have.
 
     Raises:
         InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.
@@ -90,6 +91,10 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[E
         place = read(where, Place, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")
+        if unknown := [key for key in given if key not in (known := [*keys(Place), *keys(kinds[place.kind])])]:
+            raise InputError(f"{where} unknown key {quoted(unknown[0])}; known keys: {alike(unknown[0], known)}")
+        if name in taken:
+            raise InputError(f"{where} has the name of a parameter; give the section another name")
         with error_in(where):
             some = _places(place.at, corners)
         part: Any = read(where, kinds[place.kind], {key: one for key, one in given.items() if key not in keys(Place)})
@@ -103,7 +108,7 @@ def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
     for place in at:
         here = [corner for corner in corners if holds(place, corner)]
         if not here:
-            known = f"it has {listing(corners)}" if any(corners) else "omit at, as there is only one suspension"
+            known = f"it has {listing(places_of(corners))}" if any(corners) else "omit at, as there is only one suspension"
             raise InputError(f"at = {place!r} is not a suspension or an axle of this vehicle; {known}")
         chosen += here
     return tuple(dict.fromkeys(chosen)) if at else tuple(corners)

@@ -605,7 +605,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     if given.parts:
         from models.parts.element import read_elements
 
-        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions])
+        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
     dampers = dict[str, "Damper"]()
     if given.actuators:
         from models.characteristics.adjustable_range import read_actuators

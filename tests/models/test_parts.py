@@ -646,3 +646,25 @@ def test_a_kink_at_rest_is_found():
     for ratio, load, kinked in ((bends, 4e3, True), (bends, 0.0, False), (even, 4e3, False)):
         table = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array(ratio))
         assert AtRatio(straight_one, table, load=load).kinked_at_rest == kinked
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ('[parts.x]\nkind = "hydraulic_stop"\natt = "front"', "[parts.x] unknown key 'att'; known keys: at"),
+        (
+            '[parts.x]\nkind = "hydraulic_stop"\nat = "fornt"',
+            "at = 'fornt' is not a suspension or an axle of this vehicle; it has",
+        ),
+        ('[parts.sprung_mass]\nkind = "hydraulic_stop"', "[parts.sprung_mass] has the name of a parameter; give"),
+        ('[parts.x]\nkind = "hydraulic"', "[parts.x] kind = 'hydraulic' is unknown; give one of hydraulic_stop"),
+        ("[parts]\nx = 3", "[parts] x is not a section; write [parts.NAME] with kind"),
+    ],
+)
+def test_an_element_that_is_none(section, said):
+    """A wrong section of `[parts]` is refused in a line with section and key, what was found and what is allowed."""
+    text = f"{read_vehicle('half_car').text}\n{section}\n" + "stroke = 0.1\nstiffness = 1e4\ndamping = 1.0\n" * (
+        "[parts.x]" in section
+    )
+    with pytest.raises(InputError, match=re.escape(said)):
+        parse_vehicle(text)
