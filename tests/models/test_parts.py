@@ -221,8 +221,9 @@ def fit(*names) -> bool:
 
 PAIRS = [(pair, ratio) for pair in itertools.combinations(ROWS, 2) if fit(*pair) for ratio in RATIOS if "actuator" not in pair]
 PAIRS += [((name, "actuator"), "over travel") for name in FOR_ALL if fit(name, "actuator")]
-EVERY = [(kind, *case) for case in SINGLE + PAIRS for kind in CORNERS]
-ALONE = [case for case in EVERY if case[1:] in SINGLE]
+ALONE = [(kind, *case) for case in SINGLE for kind in CORNERS]
+BESIDE = [(kind, *pair) for kind, pair in zip(itertools.cycle(CORNERS), PAIRS, strict=False)]  # on one car each
+EVERY = ALONE + BESIDE
 
 
 def label(one) -> str:
@@ -235,7 +236,7 @@ def in_suite(*some):
     return pytest.mark.parametrize(("kind", "names", "ratio"), cases, ids=label)
 
 
-every = in_suite(*ALONE, *((kind, *pair) for kind, pair in zip(itertools.cycle(CORNERS), PAIRS[4::8], strict=False)))
+every = in_suite(*ALONE, *BESIDE[4::8])
 some_runs = in_suite(
     *ALONE[:: len(CORNERS)], ("half_car", ("stops", "damper"), "over travel"), ("full_car", ("surface damper",), "constant")
 )

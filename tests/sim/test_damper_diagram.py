@@ -51,7 +51,7 @@ def test_points_are_what_suspensions_pull_with(kind, curves):
             points = named(panel, run.controller.name)
             ending = one.deflection.removeprefix("suspension_deflection")
             force = np.interp(points.x, one.curve.x, one.curve.force)
-            if one.over.name == "velocity":
+            if one.part.argument == "velocity":
                 every = len(run.physics.time) // DIAGRAM_POINTS
                 force = force - run.physics[f"control_force{ending}"][::every]
                 np.testing.assert_array_equal(points.x, run.physics[f"suspension_velocity{ending}"][::every])
