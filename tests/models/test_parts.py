@@ -223,7 +223,8 @@ PAIRS = [(pair, ratio) for pair in itertools.combinations(ROWS, 2) if fit(*pair)
 PAIRS += [((name, "actuator"), "over travel") for name in FOR_ALL if fit(name, "actuator")]
 ALONE = [(kind, *case) for case in SINGLE for kind in CORNERS]
 BESIDE = [(kind, *pair) for kind, pair in zip(itertools.cycle(CORNERS), PAIRS, strict=False)]  # on one car each
-EVERY = ALONE + BESIDE
+TOGETHER = ("half_car", ("stops", "damper"), "over travel")
+EVERY = ALONE + list(dict.fromkeys([*BESIDE, TOGETHER]))
 
 
 def label(one) -> str:
@@ -237,9 +238,7 @@ def in_suite(*some):
 
 
 every = in_suite(*ALONE, *BESIDE[4::8])
-some_runs = in_suite(
-    *ALONE[:: len(CORNERS)], ("half_car", ("stops", "damper"), "over travel"), ("full_car", ("surface damper",), "constant")
-)
+some_runs = in_suite(*ALONE[:: len(CORNERS)], TOGETHER, ("full_car", ("surface damper",), "constant"))
 
 
 def ratios_at(ratio: str, end: str) -> tuple[list[float], list[float]]:
