@@ -40,12 +40,14 @@ VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadpr
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code.
+    """Runs the command; returns its exit code. `python -m sim bump` is `roadproof bump`.
 
     Raises:
         InputError: any option but --help.
     """
     words = sys.argv[1:] if arguments is None else arguments
+    if arguments is None and words and words[0] in VERBS:
+        roadproof()
     if words and not words[0].startswith("-"):
         raise InputError(f"unknown command {words[0]!r}; the commands are {listing(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG)

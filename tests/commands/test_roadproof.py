@@ -31,6 +31,7 @@ def test_an_error_names_the_command_as_it_was_called(called, named):
     assert run("-c", CODE, *called, "--nonsense") == (2, "", said.format(named))
     module = VERBS[called[0]] if called else "sim"
     assert run("-m", module, "--nonsense") == (2, "", said.format(f"python -m {module}"))
+    assert run("-m", "sim", *called, "--nonsense") == (2, "", said.format(named if called else "python -m sim"))
 
 
 def test_a_verb_is_its_command():
