@@ -14,7 +14,7 @@ PARTS = {  # name -> module and class
     "surface damper": "models.parts.surface_damper:SurfaceDamper",
     "adjustable damper": "models.parts.adjustable:Adjustable",
     "actuator": "models.parts.actuator:Actuator",
-    "hydraulic_stop": "models.parts.hydraulic_stop:HydraulicStop",
+    "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
 }
 
 

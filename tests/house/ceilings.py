@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2951   2109      0
+what all commands share: files, options, checks, tables of numbers   2951   2110      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
 vehicle file, types, equations, MJCF                           5216   1837    266
@@ -53,10 +53,10 @@ curves of dampers and springs, statistical linearisation       3063   2172     8
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    194      0
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          1284   1087      0
+parts of a suspension                                          1285   1087      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
-    tests/support/mechanism.py tests/house/test_removal.py models/parts/hydraulic_stop.py
+    tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/{__init__,hydraulic_stop}.py
 loads, links, tyre damping                                      744   1532     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
@@ -146,7 +146,7 @@ linear responses                                                975    370      
 runs, verdict, their text                                      3129    887     59
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1001    999    374
+commands that drive                                            1003    999    374
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md

@@ -129,7 +129,7 @@ def test_add_a_force_element(tmp_path):
     file, line = recipe.blocks("python")
     for folder in ("models", "synth", "sim", "tests", "docs"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
-    (tmp_path / "models" / "parts" / "cubic_damper.py").write_text(file, encoding="utf-8")
+    (tmp_path / "models" / "parts" / "elements" / "cubic_damper.py").write_text(file, encoding="utf-8")
     path = tmp_path / "models" / "parts" / "registry.py"
     source = path.read_text(encoding="utf-8")
     path.write_text(source.replace("PARTS = {", f"PARTS = {{\n{line}", 1), encoding="utf-8", newline="\n")

@@ -1,0 +1,1 @@
+"""Force elements that a section of `[parts]` can be: one file for each."""
