@@ -85,49 +85,39 @@ class Adjustable(SettablePart):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the adjustable damper of a suspension, in its own travel."""
-        yield from ((replace(one, ratio=1.0), place.damping) for one in vehicle.adjustable if one.force == place.force)
-
-    @classmethod
-    def in_vehicle(cls, vehicle: Any) -> tuple["Adjustable", ...]:
-        """Returns the adjustable dampers of a vehicle, in the order of its suspensions.
+        """Yields the adjustable damper of a suspension, in its own travel.
 
         Raises:
-            InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
+            InputError: the suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
         """
-        dampers, suspensions, curves = vehicle.dampers, vehicle.kind.suspensions, vehicle.curves
-        placed = []
-        for part in suspensions:
-            if part.force not in dampers:
-                continue
-            damper = dampers[part.force]
-            if not part.damping:
-                raise InputError(
-                    f"[actuators] the vehicle type does not define a damper at {part.force}; give damping in its Suspension"
-                )
-            if isinstance(curves.get(part.damping), ForceSurface):
-                raise InputError(
-                    f"[curves] {part.damping} depends on velocity and deflection, but [actuators] gives this suspension a "
-                    "semi-active damper; omit one of the two, or give a curve over velocity only"
-                )
-            nominal = vehicle.parameters[part.damping]
-            if not damper.c_min <= nominal <= damper.c_max:
-                raise InputError(
-                    f"{part.damping} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
-                    f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {part.damping}, c_min or c_max"
-                )
-            standing, ratio = _standing(damper, nominal, curves.get(part.damping)), part.motion_ratio(vehicle.parameters)
-            placed.append(cls(part.force, part.ending, damper, nominal, ratio, standing))
-            _check_takes(part.damping, placed[-1])
-            pairs = [
-                dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers
-            ]
-            if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
-                raise InputError(
-                    f"[actuators] suspensions that share {part.damping} have different damper curves; give the same c_min and "
-                    "c_max to all of these suspensions"
-                )
-        return tuple(placed)
+        dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
+        if place.force not in dampers:
+            return
+        damper, beside = dampers[place.force], vehicle.curves.get(name)
+        if not name:
+            raise InputError(
+                f"[actuators] the vehicle type does not define a damper at {place.force}; give damping in its Suspension"
+            )
+        if isinstance(beside, ForceSurface):
+            raise InputError(
+                f"[curves] {name} depends on velocity and deflection, but [actuators] gives this suspension a "
+                "semi-active damper; omit one of the two, or give a curve over velocity only"
+            )
+        nominal = vehicle.parameters[name]
+        if not damper.c_min <= nominal <= damper.c_max:
+            raise InputError(
+                f"{name} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
+                f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
+            )
+        one = cls(place.force, place.ending, damper, nominal, 1.0, _standing(damper, nominal, beside))
+        _check_takes(name, one)
+        pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and other.force in dampers]
+        if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
+            raise InputError(
+                f"[actuators] suspensions that share {name} have different damper curves; give the same c_min and "
+                "c_max to all of these suspensions"
+            )
+        yield one, name
 
     @staticmethod
     def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
@@ -139,7 +129,7 @@ class Adjustable(SettablePart):
             InputError: the controller measures such a force.
         """
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
-        for one in vehicle.adjustable:
+        for one in vehicle.parts.adjustable:
             if one.force in measured and (one.force in turning or one.damper.pair is not None):
                 what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
                 raise InputError(

@@ -108,7 +108,7 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
     low, nominal, adjustable = -high, np.zeros(high.shape), np.zeros(high.shape, dtype=bool)
     pairs = [[None] * len(forces) for _ in vehicles]
     for i, vehicle in enumerate(vehicles):
-        for damper in vehicle.adjustable:
+        for damper in vehicle.parts.adjustable:
             j = forces.index(damper.force)
             low[i, j], high[i, j], nominal[i, j], adjustable[i, j] = damper.low, damper.high, damper.nominal, True
             pairs[i][j] = damper.damper.pair

@@ -10,14 +10,14 @@ and everything that runs the vehicle adds what is beyond that line. A new part i
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from models.characteristics import LEAVES
+from models.characteristics import LEAVES, SIDES
 from models.common.arrays import Array
 
 if TYPE_CHECKING:
@@ -330,6 +330,36 @@ class SettablePart(Part):
         """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
         still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
         return still + beyond * self.shape(v)
+
+
+class Parts(tuple[SuspensionPart, ...]):
+    """Parts of a vehicle, suspension by suspension."""
+
+    @cached_property
+    def with_curve(self) -> tuple[SuspensionPart, ...]:
+        """Parts with a curve."""
+        return tuple(one for one in self if one.part.curve is not None)
+
+    @cached_property
+    def nonlinear(self) -> bool:
+        """True if a force differs from its line before a contact."""
+        return any(one.part.bent and not one.part.contact for one in self)
+
+    @cached_property
+    def adjustable(self) -> tuple[SettablePart, ...]:
+        """Adjustable dampers, each with its motion ratio at rest."""
+        own = ((getattr(one.part, "part", one.part), one.ratio) for one in self)
+        return tuple(replace(part, ratio=ratio) for part, ratio in own if isinstance(part, SettablePart))
+
+    @cached_property
+    def strokes(self) -> Mapping[str, Mapping[str, float]]:
+        """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
+        strokes = dict[str, dict[str, float]]()
+        for one in self:
+            for limit in one.part.limits() if one.part.contact else ():
+                if limit.end == BUMP_STOP:
+                    strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
+        return strokes
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import importlib
 from functools import cache
 from typing import Any
 
-from models.parts.part import SuspensionPart
+from models.parts.part import Parts, SuspensionPart
 from models.parts.ratio import AtRatio, Constant
 
 PARTS = {  # name -> module and class
@@ -25,18 +25,12 @@ def part_class(name: str) -> Any:
     return getattr(importlib.import_module(module), named)
 
 
-def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]:
-    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension.
-
-    Args:
-        contacts: True for contacts alone, such as bump stops, which do not depend on the other parts.
-    """
+def parts_of(vehicle: Any) -> Parts:
+    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
     placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
-        classes = [one for name in PARTS if (one := part_class(name)).contact or not contacts]
-        rows = [(part, parameter, "") for each in classes for part, parameter in each.of(vehicle, place)]
-        elements = [one for one in vehicle.elements if one.part.contact or not contacts]
-        rows += [(one.part, "", one.name) for one in elements if place.corner in one.corners]
+        rows = [(part, parameter, "") for name in PARTS for part, parameter in part_class(name).of(vehicle, place)]
+        rows += [(one.part, "", one.name) for one in vehicle.elements if place.corner in one.corners]
         ratio = place.motion_ratio(vehicle.parameters)
         for part, parameter, name in rows:
             if (table := kind.table_of(place)) is None:
@@ -46,4 +40,4 @@ def parts_of(vehicle: Any, contacts: bool = False) -> tuple[SuspensionPart, ...]
             carries = bool(parameter) and parameter == place.stiffness
             load = kind.static_loads(vehicle.parameters)[place.deflection] if carries else 0.0
             placed.append(SuspensionPart(place, AtRatio(part, table, ratio / table.at_rest, load), parameter, ratio, name))
-    return tuple(placed)
+    return Parts(placed)

@@ -249,7 +249,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
 
 def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, Known]:
     """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
-    kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.strokes.get(part.deflection, {})
+    kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
     r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
     names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
     names |= {"spring": part.stiffness, "damper": part.damping}

@@ -20,7 +20,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
     A damper between body and sky, or wheel and ground, has c_max at the wheel by default; a damper of a mode of the body has the
     sky damper's coefficient by default.
     """
-    dampers = [[damper.damper for damper in vehicle.adjustable] for vehicle in vehicles]
+    dampers = [[damper.damper for damper in vehicle.parts.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
     given = [dict(law.numbers) for law in laws]
 
@@ -31,7 +31,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
                 numbers[i] = one[key]
         return numbers
 
-    squares = np.array([[damper.ratio for damper in vehicle.adjustable] for vehicle in vehicles]) ** 2
+    squares = np.array([[damper.ratio for damper in vehicle.parts.adjustable] for vehicle in vehicles]) ** 2
     sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)  # on body and wheel
     moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()
@@ -47,7 +47,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
 def _stiffness(vehicle: Vehicle) -> list[float]:
     """Returns the stiffness of the suspensions with an adjustable damper [N/m]; 0 if the kind names no parameter."""
     parameters = {one.force: one.stiffness for one in vehicle.kind.suspensions}
-    return [vehicle.parameters.get(parameters[one.force], 0.0) for one in vehicle.adjustable]
+    return [vehicle.parameters.get(parameters[one.force], 0.0) for one in vehicle.parts.adjustable]
 
 
 def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:

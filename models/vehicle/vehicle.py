@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing
@@ -23,7 +22,7 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
-from models.parts.part import BUMP_STOP
+from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve
     from models.laws.filter import Filter
     from models.parts.element import Element
-    from models.parts.part import SettablePart, SuspensionPart
 
 
 def kinds(folder: Path = HERE) -> list[str]:
@@ -194,37 +192,13 @@ class Vehicle(Shown):
         return replace(self, parameters=parameters, curves=curves, **fields)
 
     @cached_property
-    def parts(self) -> "tuple[SuspensionPart, ...]":
+    def parts(self) -> Parts:
         """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
-            return ()
+            return Parts()
         from models.parts.registry import parts_of
 
         return parts_of(self)
-
-    @cached_property
-    def fitted(self) -> "tuple[SuspensionPart, ...]":
-        """Parts with a curve."""
-        return tuple(one for one in self.parts if one.part.curve is not None)
-
-    @cached_property
-    def strokes(self) -> Mapping[str, Mapping[str, float]]:
-        """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
-        strokes = dict[str, dict[str, float]]()
-        if not (self.limits.stopped or self.elements):
-            return strokes
-        from models.parts.registry import parts_of
-
-        for one in parts_of(self, contacts=True):
-            for limit in one.part.limits():
-                if limit.end == BUMP_STOP:
-                    strokes.setdefault(one.deflection, {})[SIDES[limit.sign > 0]] = limit.value
-        return strokes
-
-    @property
-    def is_curved(self) -> bool:
-        """True if a force of a suspension differs from its line before a contact."""
-        return any(one.part.bent and not one.part.contact for one in self.parts)
 
     @property
     def linearised(self) -> "Vehicle":
@@ -233,7 +207,7 @@ class Vehicle(Shown):
         straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
         kind = replace(self.kind, ratios=straight) if straight else self.kind
         elements = tuple(one.straight for one in self.elements)
-        return replace(self, kind=kind, curves={}, dampers=dampers, elements=elements) if self.is_curved else self
+        return replace(self, kind=kind, curves={}, dampers=dampers, elements=elements) if self.parts.nonlinear else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
@@ -285,23 +259,14 @@ class Vehicle(Shown):
         return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
 
     @cached_property
-    def adjustable(self) -> "tuple[SettablePart, ...]":
-        """Adjustable dampers, in the order of the forces."""
-        if not self.dampers:
-            return ()
-        from models.parts.registry import part_class
-
-        return part_class("adjustable damper").in_vehicle(self)
-
-    @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
         """The vehicle with ideal force actuators instead of its adjustable dampers."""
         if not self.dampers:
             return self
-        names = {name for damper in self.adjustable for name in (damper.coefficient, damper.missing)}
+        names = {name for damper in self.parts.adjustable for name in (damper.coefficient, damper.missing)}
         signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
         damping = {suspension.force: suspension.damping for suspension in self.kind.suspensions}
-        curves = {damping[damper.force]: damper.standing for damper in self.adjustable if damper.standing is not None}
+        curves = {damping[damper.force]: damper.standing for damper in self.parts.adjustable if damper.standing is not None}
         return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
 
     @cached_property
@@ -481,7 +446,7 @@ class Vehicle(Shown):
         check_weights(self.performance, self.sums, outputs)
         filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
         sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
-        _ = sound.adjustable  # these parameters, too, must go with its dampers
+        _ = sound.parts  # these parameters, too, must go with its dampers
         return sound
 
     @property
@@ -493,7 +458,7 @@ class Vehicle(Shown):
             *remarks(known_quantities(self)),
             *suspension_doubts(self),
             *curve_notes(curves, self.kind, self.parameters),
-            *(ratio_doubts(self.kind, self.strokes) if self.kind.ratios else []),
+            *(ratio_doubts(self.kind, self.parts.strokes) if self.kind.ratios else []),
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
 
@@ -642,7 +607,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         elements=elements,
     )
     if dampers or vehicle_kind.ratios:
-        _ = vehicle.adjustable, vehicle_kind.ratios and vehicle.fitted  # these go together, and have few enough lines
+        _ = vehicle.parts.with_curve  # these go together, and have few enough lines
     for entry in controllers.values():
         vehicle.check_entry(entry)
     return vehicle

@@ -111,7 +111,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     vehicle = runs[0].vehicle
     linear = all(isinstance(run.controller, Controller) and is_linear(run.vehicle, run.controller) for run in runs)
     silent = not any(isinstance(run.controller, Controller) and run.controller.law.acts for run in runs)
-    return linear and (silent or vehicle.implementation.ideal) and not vehicle.is_curved
+    return linear and (silent or vehicle.implementation.ideal) and not vehicle.parts.nonlinear
 
 
 EFFECTS = ("held", "in_signals", "in_readings")  # of `RoadInput`: over the steps, in the signals, and in measurements

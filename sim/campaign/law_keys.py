@@ -58,7 +58,7 @@ def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) 
     Raises:
         InputError: a value is not allowed.
     """
-    endings = {one.force: one.ending for one in vehicle.adjustable}
+    endings = {one.force: one.ending for one in vehicle.parts.adjustable}
     section, model = {controller: record_of(vehicle, controller, values)}, vehicle.kind.whole_model(vehicle.parameters)
     read = read_controllers(section, model, vehicle.limits, vehicle.implementation, vehicle.kind, dampers=endings)
     return read[unicodedata.normalize("NFC", controller)]

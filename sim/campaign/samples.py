@@ -149,7 +149,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
         with error_in(f"[samples] vehicle {name!r}: sampled values do not fit together:"):
             sampled = with_sample(vehicle, sample)
             vehicle.kind.check(sampled.parameters)
-            _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
+            _ = sampled.parts  # which looks whether its dampers can be what they nominally are
     return samples
 
 
@@ -188,9 +188,9 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
-        curved = {one for one in vehicle.adjustable if name in CURVED and one.damper.pair is not None}
+        curved = {one for one in vehicle.parts.adjustable if name in CURVED and one.damper.pair is not None}
         values: dict[SettablePart, Any] = {
-            one: None if one in curved else getattr(one.damper, name) for one in vehicle.adjustable
+            one: None if one in curved else getattr(one.damper, name) for one in vehicle.parts.adjustable
         }
         if len(set(values.values())) == 1:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])
@@ -203,7 +203,7 @@ def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
     if not sample:
         return vehicle
     known, dampers = _of_dampers(vehicle), dict(vehicle.dampers)
-    endings = {one.force: one.ending for one in vehicle.adjustable}
+    endings = {one.force: one.ending for one in vehicle.parts.adjustable}
     for name in (one for one in known if one in sample):
         for force in known[name][1]:
             dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})

@@ -331,7 +331,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)
-    if not choice.random or not vehicle.adjustable or any(campaign.samples[name]):
+    if not choice.random or not vehicle.parts.adjustable or any(campaign.samples[name]):
         return np.zeros((0, 2)), {}
     spectrum = choice.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration).spectrum
     assert spectrum is not None, "the road is random"
@@ -340,7 +340,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
         found = expect(car.with_ideal_actuators, controller, spectrum, campaign.timestep, campaign.duration - campaign.settle)
         return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
 
-    adjustable = {one.force: one.damper for one in vehicle.adjustable}
+    adjustable = {one.force: one.damper for one in vehicle.parts.adjustable}
     dampers = {one.damping: adjustable[one.force] for one in vehicle.kind.suspensions if one.force in adjustable}
     passive, line = Designer(vehicle).design(PASSIVE), []
     for share in np.linspace(0.0, 1.0, CONSTANT):

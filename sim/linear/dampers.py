@@ -54,7 +54,7 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
         missing: requested minus actual forces [N], shape (T, m).
     """
     signals, forces = {}, vehicle.linear_model.inputs
-    for damper in vehicle.adjustable:
+    for damper in vehicle.parts.adjustable:
         j = forces.index(damper.force)
         signals |= {damper.coefficient: damper.nominal + beyond[:, j], damper.missing: missing[:, j]}
     return signals
@@ -85,7 +85,7 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     commands = np.zeros((len(physics.time), 2 * m))
     for j, force in enumerate(forces):
         commands[:, j] = physics[force]
-    for adjustable in vehicle.adjustable:
+    for adjustable in vehicle.parts.adjustable:
         j = forces.index(adjustable.force)
         acting = physics[adjustable.coefficient] - adjustable.nominal
         commands[:, j], commands[:, m + j] = acting, physics[adjustable.missing]
@@ -101,7 +101,7 @@ def squarable(forces: Array) -> Array:
 
 def command_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of the commands of a law in Python: forces, or with adjustable dampers `CoefficientRange.commands`."""
-    forces, coefficients = vehicle.linear_model.inputs, {one.force: one.coefficient for one in vehicle.adjustable}
+    forces, coefficients = vehicle.linear_model.inputs, {one.force: one.coefficient for one in vehicle.parts.adjustable}
     if not coefficients:
         return forces
     beyond = (f"{coefficients[force]}_beyond_nominal" if force in coefficients else force for force in forces)

@@ -33,7 +33,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
             of RK4.
     """
     vehicle, h, model = road.vehicle, road.timestep, with_lag(road.vehicle)
-    if vehicle.is_curved:
+    if vehicle.parts.nonlinear:
         from sim.linear.stepped import forced
 
         return forced(forces, road).single

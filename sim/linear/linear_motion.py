@@ -91,6 +91,6 @@ def lag_rates(vehicle: Vehicle) -> Array:
     """Returns the bandwidth of every actuator [rad/s], shape (m,); 0 for one without lag."""
     inputs = vehicle.linear_model.inputs
     rates = np.full(len(inputs), vehicle.limits.actuator_bandwidth or 0.0)
-    for one in vehicle.adjustable:
+    for one in vehicle.parts.adjustable:
         rates[inputs.index(one.force)] = one.damper.bandwidth or 0.0
     return rates

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the parameters whose curves are not straight about rest, in the order of the suspensions."""
-    return tuple(dict.fromkeys(fitted.name for fitted in vehicle.fitted if fitted.part.kinked_at_rest))
+    return tuple(dict.fromkeys(fitted.name for fitted in vehicle.parts.with_curve if fitted.part.kinked_at_rest))
 
 
 def at_rest(vehicle: Vehicle) -> Vehicle:

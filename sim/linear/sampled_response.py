@@ -73,7 +73,9 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
     if vehicle.dampers:  # the force of a damper is rounded as its velocity is
         from sim.linear.dampers import stretching
 
-        pushed[[model.inputs.index(one.force) for one in vehicle.adjustable]] = [one.steepest_slope for one in vehicle.adjustable]
+        pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
+            one.steepest_slope for one in vehicle.parts.adjustable
+        ]
         pushed *= np.abs(stretching(vehicle)) @ shaken
     if controller is None:
         return dict(zip(model.outputs, (np.abs(model.C) @ shaken + np.abs(model.D) @ pushed).tolist(), strict=True))
@@ -131,7 +133,7 @@ def sampled_responses(
     Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
     """
     vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
-    if vehicle.is_curved:
+    if vehicle.parts.nonlinear:
         from sim.linear.stepped import stepped
 
         return stepped([controller] * len(roads), roads).response
@@ -450,7 +452,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
         from sim.linear.dampers import stretching
 
         of, V = range_of([vehicle]), stretching(vehicle)
-        steepest = {adjustable.force: adjustable.steepest_slope - adjustable.nominal for adjustable in vehicle.adjustable}
+        steepest = {adjustable.force: adjustable.steepest_slope - adjustable.nominal for adjustable in vehicle.parts.adjustable}
         firm = np.array([steepest.get(force, 0.0) for force in forces])
         systems += [A - (vehicle.linear_model.B * d) @ V for d in (np.where(of.adjustable, of.low[0], 0.0), firm)]
         systems += [np.array([[-damper.bandwidth]]) for damper in vehicle.dampers.values() if damper.bandwidth is not None]

@@ -139,7 +139,7 @@ class Stepper:
             coefficients = xi @ self._acting + inputs @ self._at_once
             speeds = self.speeds(xi, road.heights)
             beside = damper_signals(vehicle, coefficients, missing)
-            for one in vehicle.adjustable:
+            for one in vehicle.parts.adjustable:
                 j = vehicle.linear_model.inputs.index(one.force)
                 beside[one.force] = -coefficients[:, j] * one.shape(speeds[:, j])
         response = response_of(model, road, x, inputs, beyond, beside)

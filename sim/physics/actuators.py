@@ -55,7 +55,9 @@ class Actuators:
         self.closing[adjustable, -readout.stretching.shape[1] :] = -readout.stretching[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning)
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
-        ramps = {one.force: one.damper.pair.ramps for one in first.adjustable if one.damper.pair and one.force not in turning}
+        ramps = {
+            one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
+        }
         if ramps:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
@@ -100,7 +102,7 @@ class Actuators:
         first = self.vehicles[0]
         names, inputs = [signal.name for signal in first.kind.signals], first.linear_model.inputs
         parts = {part.force: (names.index(part.deflection), part.velocity.name) for part in first.kind.suspensions if part.force}
-        for i, one in enumerate(first.adjustable):
+        for i, one in enumerate(first.parts.adjustable):
             j = inputs.index(one.force)
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
@@ -109,4 +111,4 @@ class Actuators:
                 deflection, velocity = parts[one.force]
                 speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]
                 for n, (other, v) in enumerate(zip(self.vehicles, speeds.T, strict=True)):
-                    values[:, names.index(one.force), n] = -beyond[:, n] * other.adjustable[i].shape(v)
+                    values[:, names.index(one.force), n] = -beyond[:, n] * other.parts.adjustable[i].shape(v)

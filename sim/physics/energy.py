@@ -237,7 +237,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
         response: signals of physics at T samples.
         requested: forces requested by the controller, see `PhysicsRuns`.
     """
-    inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.adjustable}, []
+    inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
     acting, work, ratios = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
     for j, name in enumerate(inputs):
@@ -290,14 +290,14 @@ def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
     """
     reached, limits = utilisation(vehicle, response), vehicle.limits
     ends = [LIFT_OFF, BUMP_STOP] + ([] if limits.actuator_bandwidth is None or limits.limits_commands else [SATURATION])
-    bent = vehicle.is_curved or any(one.damper.pair is not None for one in vehicle.adjustable)
+    bent = vehicle.parts.nonlinear or any(one.damper.pair is not None for one in vehicle.parts.adjustable)
     return bent or any(reached[REGIME_ENDS.index(end)] >= NEAR for end in ends)
 
 
 def _fastest(vehicle: Vehicle) -> float:
     """Returns the fastest rate of the vehicle, its actuators and its dampers' valves, at any setting [rad/s]."""
     model = vehicle.linear_model
-    firm = {one.force: one.steepest_slope / one.nominal for one in vehicle.adjustable if one.nominal}
+    firm = {one.force: one.steepest_slope / one.nominal for one in vehicle.parts.adjustable if one.nominal}
     rate = float(np.abs(np.linalg.eigvals(model.A)).max()) * max([1.0, *firm.values()])
     lags = [damper.bandwidth for damper in vehicle.dampers.values() if damper.bandwidth is not None]
     return max([rate, vehicle.limits.actuator_bandwidth or 0.0, *lags])

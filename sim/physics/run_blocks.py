@@ -376,7 +376,7 @@ class _Recorder:
         names = [signal.name for signal in first.kind.signals]
         self.readout, self.after, self.actuators = readout, loop.after, actuators
         self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
-        missing = {one.missing for one in first.adjustable}
+        missing = {one.missing for one in first.parts.adjustable}
         self.physical = [i for i, name in enumerate(names) if name not in missing]
         self.wheels = [names.index(wheel.road_displacement) for wheel in first.kind.wheels]
         self.inside = readout.stage > loop.after

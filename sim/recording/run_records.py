@@ -299,7 +299,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
         from sim.runs.forces import pushed
 
         acting[LOADS] = pushed(vehicle, road, run.physics.time)
-    if vehicle.fitted or vehicle.adjustable:
+    if vehicle.parts.with_curve or vehicle.parts.adjustable:
         from sim.runs.force_diagram import diagrams, pulled
 
         acting[DAMPERS], drawn = pulled(vehicle, run.physics), tuple(diagrams(vehicle))

@@ -113,8 +113,8 @@ def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
-    reference = NONLINEAR if scope.vehicle.is_curved else LINEAR
-    linear = not (scope.vehicle.is_curved or scope.vehicle.dampers)
+    reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
+    linear = not (scope.vehicle.parts.nonlinear or scope.vehicle.dampers)
     prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
 
     def settles(run: Run) -> bool:
@@ -128,7 +128,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         Field("its order", lambda of: _order(*of, "sampled"), ".2f"),
         *(
             [Field[tuple[Run, Run | None, str]]("of the linearisation", lambda of: of[0].line_errors.get(of[2]), DIFFERENCE.form)]
-            if scope.vehicle.is_curved
+            if scope.vehicle.parts.nonlinear
             else []
         ),
         Field("to continuous", lambda of: of[0].agreement.signals[of[2]].continuous if linear else None, DIFFERENCE.form),
@@ -149,7 +149,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         texts.append(f"The sampled response has no {scope.vehicle.implementation.noise_text}; this difference has no order.")
     if any(cause.startswith("geometry") for cause in causes):
         texts.append("Linear analysis assumes small rotations; this difference shrinks with the height of the road only.")
-    if scope.vehicle.is_curved:
+    if scope.vehicle.parts.nonlinear:
         texts.append(
             "Norms, margins and designs are those of the linearisation at equilibrium. Its error is the largest difference from "
             "MuJoCo, relative to the peak in MuJoCo."

@@ -228,7 +228,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
     dampers = {
         f"[actuators] {name}{one.ending}": value
-        for one in vehicle.adjustable
+        for one in vehicle.parts.adjustable
         for name, value in (("c_min", one.damper.c_min), ("c_max", one.damper.c_max), ("bandwidth", one.damper.bandwidth))
         if value is not None
     }
@@ -243,7 +243,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
             {f"[implementation] {name}": value for name, value in built.items() if value is not None}
             or {"[implementation]": "none"}
         ),
-        **{f"[curves] {one.name}": one.curve.words for one in vehicle.fitted},
+        **{f"[curves] {one.name}": one.curve.words for one in vehicle.parts.with_curve},
         **dampers,
     }
     given = tuple((name, value if isinstance(value, str) else f"{value:g}") for name, value in settings.items())

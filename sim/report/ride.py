@@ -135,7 +135,7 @@ def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns sentences on the table of ride, and on the parts that its predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     without = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
-    curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.is_curved
+    curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
     return (
         f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
         "'Weighted' is the rms acceleration of ISO 2631-1, Wk. 'Dynamic load' is the rms tyre force over its static value.",

@@ -21,9 +21,11 @@ class Jumps:
         vehicle = vehicles[0]
         index = {signal.name: i for i, signal in enumerate(vehicle.kind.signals)}
         model, forces, outputs = vehicle.linear_model, vehicle.linear_model.inputs, vehicle.linear_model.outputs
-        dampers = {one.force: one for one in vehicle.adjustable}
+        dampers = {one.force: one for one in vehicle.parts.adjustable}
         self.coefficient = {force: index[one.coefficient] for force, one in dampers.items()}
-        self.shapes = {one.force: [other.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.adjustable)}
+        self.shapes = {
+            one.force: [other.parts.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.parts.adjustable)
+        }
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
         rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}

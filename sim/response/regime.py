@@ -133,7 +133,7 @@ def departures(vehicle: Vehicle, response: Response) -> dict[str, float]:
     wheels.
     """
     shares: dict[str, float] = {}
-    for fitted in vehicle.fitted:
+    for fitted in vehicle.parts.with_curve:
         d = response[fitted.deflection]
         v = response[fitted.place.velocity.name] if fitted.damps else np.zeros_like(d)
         apart = np.fmax.reduce(np.abs(fitted.part.beyond(d, v)), axis=None, initial=0.0) / fitted.part.range  # no samples: NaN
@@ -188,7 +188,7 @@ DAMPER = End(
     "damper: a semi-active damper first fails to supply the requested force at {when}",
     "#8fbf7f",
     ("Circle", (120, 255, 120)),
-    lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.adjustable],
+    lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.parts.adjustable],
     exact=True,
 )
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)

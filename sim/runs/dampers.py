@@ -43,7 +43,7 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     closing, m = closing_velocities(vehicle, whole), len(vehicle.linear_model.inputs)
     speeds = -range_of([vehicle]).effective_velocity(closing[:, None])[:, 0]
     by_force = {}
-    for one in vehicle.adjustable:
+    for one in vehicle.parts.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
         missing = squarable(commands[decided + late, m + j])
         requested, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]

@@ -60,9 +60,9 @@ class Diagram:
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
     """Returns the diagrams of a vehicle's curves, then of its adjustable dampers."""
-    adjusted = {vehicle.kind.pushed(adjustable.force) for adjustable in vehicle.adjustable}
-    alone = [fitted for fitted in vehicle.fitted if not fitted.damps or fitted.deflection not in adjusted]
-    of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.adjustable]
+    adjusted = {vehicle.kind.pushed(adjustable.force) for adjustable in vehicle.parts.adjustable}
+    alone = [fitted for fitted in vehicle.parts.with_curve if not fitted.damps or fitted.deflection not in adjusted]
+    of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.parts.adjustable]
     return [*(_of_curve(vehicle, fitted) for fitted in alone), *of_adjustable]
 
 

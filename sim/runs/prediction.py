@@ -90,12 +90,12 @@ class Prediction:
     @property
     def reference(self) -> str:
         """Names the response with which a run is compared."""
-        return NONLINEAR if self.vehicle.is_curved else LINEAR
+        return NONLINEAR if self.vehicle.parts.nonlinear else LINEAR
 
     @cached_property
     def linearised(self) -> Response | None:
         """The same sampled response with the line at equilibrium of every characteristic; None if nothing differs from lines."""
-        if not (self.vehicle.is_curved and self.is_linear):
+        if not (self.vehicle.parts.nonlinear and self.is_linear):
             return None
         road = RoadInput(self.vehicle.linearised, self.road, self.time)
         if isinstance(self.controller, Controller):
@@ -183,7 +183,7 @@ def _sampled(
     road: RoadInput, linear: Callable[..., Response], driver: Controller | Array
 ) -> tuple[Response, Response, Response | None]:
     """Returns `sampled`, `integrated` and `finer` of a prediction, of a controller or of known commands."""
-    if not road.vehicle.is_curved:
+    if not road.vehicle.parts.nonlinear:
         return linear(), linear(exponential=taylor4), None
     from sim.linear.stepped import forced, stepped
 

@@ -183,7 +183,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
     if not isinstance(controller, Controller):
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
-        forced = [one + "; sampled has the characteristics, too" * vehicle.is_curved for one in forced]
+        forced = [one + "; sampled has the characteristics, too" * vehicle.parts.nonlinear for one in forced]
         return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
     certificate = controller.certificate
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)
@@ -399,7 +399,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     wrong = [name for name, signal in signals.items() if not signal.agrees]
     worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
     signal, small = signals[worst], ""
-    what, curved = run.prediction.reference, run.vehicle.is_curved
+    what, curved = run.prediction.reference, run.vehicle.parts.nonlinear
     if isinstance(run.controller, Programmed):
         what = f"the {'nonlinear' if curved else 'exact linear'} response to the forces of the law"
     size = DIFFERENCE.digits(signal.sampled)
@@ -499,7 +499,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
     from sim.runs.dampers import shortfalls
 
-    names, texts, most = {one.force: one.coefficient for one in run.vehicle.adjustable}, list[str](), 0.0
+    names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
     if delayed:

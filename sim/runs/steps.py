@@ -216,7 +216,7 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         shown.setdefault(part.velocity.name, v)
     places = {part.force: i for i, part in enumerate(kind.suspensions)}
     shown |= dict(zip(vehicle.linear_model.inputs, given.T, strict=True))
-    for one in vehicle.adjustable:
+    for one in vehicle.parts.adjustable:
         coefficient, i = shown[one.force], places[one.force]
         shown[one.force] = -coefficient * one.shape(ratios.of(one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient

@@ -43,7 +43,7 @@ def touches(run: RunResult) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
     contacts: dict[str, dict[str, Touch | None]] = {}
-    for name, strokes in run.vehicle.strokes.items():
+    for name, strokes in run.vehicle.parts.strokes.items():
         contacts[name] = {}
         stops = [one.part for one in run.vehicle.parts if one.deflection == name and _is_stop(one.part)]
         for side, stroke in strokes.items():

@@ -236,7 +236,7 @@ def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict
         "controllers": [row_object(row) for row in designs.rows],
         "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
         "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
-        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.is_curved else {})
+        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {})
         | ({"points": designs.felt} if designs.felt else {}),
         "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
         **written(outputs),
@@ -302,7 +302,7 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
     rows = [(name, RIDE.digits(ride) + (f" ({changes[name]})" if name in changes else "")) for name, ride in rides.items()]
     listed = "; ".join(f"{names} {text}" for text, names in by_text(rows).items())
     given = ", if dampers give every force" if designs.vehicle.dampers else ""
-    method = f", by {METHOD}" if designs.vehicle.is_curved else ""
+    method = f", by {METHOD}" if designs.vehicle.parts.nonlinear else ""
     loop = f"Ride{f' at {at}' if at else ''} of the ideal loop on road class {ROAD_CLASS} at {SPEED:g} m/s{given}{method}"
     said = [f"{loop} [{RIDE.unit}]: {listed}"]
     worse = [as_name(name) for name, ride in rides.items() if passive and ride > WORSE * passive]

@@ -69,7 +69,7 @@ def equivalent_line(
     bent = [one for one in vehicle.parts if one.part.bent and not (one.part.contact or one.part.inputs)]
     if any(one.part.curve is None for one in bent):
         return None
-    placed = [one for one in vehicle.fitted if one.curve.bent]
+    placed = [one for one in vehicle.parts.with_curve if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     push, shown = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])

@@ -203,18 +203,18 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     but = f", except for the {what} that {', '.join(names)} {'include' if len(names) > 1 else 'includes'}" if names else ""
     texts = [] if vehicle.ideal else [f"{OF} the ideal loop: continuous, without [limits] and [implementation]{but}."]
     if vehicle.dampers and any(one.law.acts for one in controllers):
-        lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
+        lag = ", and without the lag of their valves" if any(one.damper.bandwidth for one in vehicle.parts.adjustable) else ""
         texts.append(f"{OF} a loop whose semi-active dampers give every force{lag}.")
     return [*texts, *line_notes(vehicle)]
 
 
 def line_notes(vehicle: Vehicle) -> list[str]:
     """Returns a note on the linearisation at equilibrium; empty for a vehicle without curves."""
-    if not vehicle.fitted:
+    if not vehicle.parts.with_curve:
         return []
     from models.parts.lines import lines_at_rest
 
-    slopes = lines_at_rest(vehicle.fitted)
+    slopes = lines_at_rest(vehicle.parts.with_curve)
     return [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []
 
 

@@ -44,7 +44,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
     felt = points or vehicle.ride_points.worst_of
     if not felt or not controller.certificate.stable:
         return None
-    if vehicle.is_curved:
+    if vehicle.parts.nonlinear:
         from synth.controller.equivalent_line import equivalent_line
 
         line = equivalent_line(vehicle, controller, lambda car, signals: _deviations(car, controller, signals))
@@ -57,7 +57,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
     """Returns the reason for which a stable loop has no expected ride; empty if the reason is another one."""
-    curved = vehicle.is_curved and controller.certificate.stable and vehicle.ride_points.worst_of
+    curved = vehicle.parts.nonlinear and controller.certificate.stable and vehicle.ride_points.worst_of
     return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
 
 

@@ -192,7 +192,7 @@ def test_a_run_agrees_and_says_what_its_curves_did(kind, more):
             assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
         left, when = departures(vehicle, run.physics), run.agreement.ended[CURVE.name]
         worst = {}
-        for one in vehicle.fitted:
+        for one in vehicle.parts.with_curve:
             ending = one.deflection.removeprefix("suspension_deflection")
             signal = run.physics[f"suspension_velocity{ending}" if one.damps else one.deflection]
             off = np.abs(one.curve(signal) - one.curve.slope * signal) / np.abs(one.curve.force).max()
@@ -251,9 +251,9 @@ def test_energy_tells_a_curve_that_nobody_wrote_down():
 def test_a_curve_is_the_same_in_another_process():
     """The damper's curve of a vehicle that was pickled is that of a damper, and the spring's that of a spring."""
     vehicle = with_curves(**BOTH)
-    given = [(one.parameter, one.damps) for one in vehicle.fitted]
+    given = [(one.parameter, one.damps) for one in vehicle.parts.with_curve]
     assert given == [("suspension_stiffness", False), ("suspension_damping", True)]
-    assert [(one.parameter, one.damps) for one in pickle.loads(pickle.dumps(vehicle)).fitted] == given
+    assert [(one.parameter, one.damps) for one in pickle.loads(pickle.dumps(vehicle)).parts.with_curve] == given
 
 
 @pytest.mark.parametrize(
@@ -342,10 +342,12 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
     (tmp_path / "mine.toml").write_text(text)
     vehicle, plain = read_vehicle(tmp_path / "mine.toml"), with_curves(suspension_damping=DIGRESSIVE)
     for what in ("x", "force"):
-        np.testing.assert_allclose(getattr(vehicle.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
+        np.testing.assert_allclose(
+            getattr(vehicle.parts.with_curve[0].curve, what), getattr(plain.parts.with_curve[0].curve, what), rtol=1e-12
+        )
     assert f"# from '{name}', {len(content.encode())} bytes, SHA-256" in vehicle.text
     again = parse_vehicle(vehicle.text)
-    np.testing.assert_array_equal(again.fitted[0].curve.force, vehicle.fitted[0].curve.force)
+    np.testing.assert_array_equal(again.parts.with_curve[0].curve.force, vehicle.parts.with_curve[0].curve.force)
     assert tmp_path / name in vehicle.files
 
 
@@ -402,7 +404,7 @@ def test_a_suspension_without_an_actuator_pulls_alike(kind):
     vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
     without = tuple(dataclasses.replace(one, force="") for one in vehicle.kind.suspensions)
     other = dataclasses.replace(vehicle, kind=dataclasses.replace(vehicle.kind, suspended=without))
-    places = [one.deflection for one in vehicle.fitted]
+    places = [one.deflection for one in vehicle.parts.with_curve]
     ours, theirs = (force_effects(one.kind, one.parameters, places) for one in (vehicle, other))
     for found, expected in zip(theirs, ours, strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())

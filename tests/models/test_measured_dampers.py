@@ -61,7 +61,11 @@ def test_straight_curves_are_numbers(bend):
     made = parse_vehicle(QUARTER + text)
     if not bend:
         numbers = parse_vehicle(QUARTER + DAMPER)
-        assert (made.dampers, made.parameters, made.fitted) == (numbers.dampers, numbers.parameters, numbers.fitted)
+        assert (made.dampers, made.parameters, made.parts.with_curve) == (
+            numbers.dampers,
+            numbers.parameters,
+            numbers.parts.with_curve,
+        )
         return
     for more in ("", "bandwidth = 100.0\n"):
         some, plain = (runs(QUARTER + LAWS + each + more, *names, duration=0.1) for each in (text, DAMPER))
@@ -78,14 +82,14 @@ def test_what_a_damper_gives():
     for run in (hard, sky):
         physics = run.physics
         v = physics["suspension_velocity"]
-        (one,) = run.vehicle.adjustable
+        (one,) = run.vehicle.parts.adjustable
         pull = one.ramp(v, 0.0) - physics["control_force"]
         low, high = table(0, v), table(1, v)
         inside = np.abs(v) < 1.5
         assert np.all((pull - low)[inside] * np.sign(v[inside]) >= -1e-6)
         assert np.all((high - pull)[inside] * np.sign(v[inside]) >= -1e-6)
     v, body = hard.physics["suspension_velocity"], hard.physics["sprung_velocity"]
-    pull = hard.vehicle.adjustable[0].ramp(v, 0.0) - hard.physics["control_force"]
+    pull = hard.vehicle.parts.adjustable[0].ramp(v, 0.0) - hard.physics["control_force"]
     clear = (np.abs(v) > 1e-6) & (np.abs(body) > 1e-6) & (np.abs(v) < 1.5)
     expected = np.where(body * v > 0, table(1, v), table(0, v))
     assert np.abs(pull - expected)[clear].max() < 1e-6
@@ -97,18 +101,18 @@ def test_what_a_damper_gives():
 def test_the_nominal_setting_is_where_the_parameter_says():
     """The force without a request is the share of both curves whose slope at rest is suspension_damping."""
     vehicle = parse_vehicle(QUARTER + PAIR)
-    (one,) = vehicle.adjustable
+    (one,) = vehicle.parts.adjustable
     assert (one.damper.c_min, one.damper.c_max) == pytest.approx(((800 + 130 / 0.15) / 2, 6000.0), rel=1e-12)
     share = (1000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
     v = np.linspace(-1.4, 1.4, 51)
     np.testing.assert_allclose(one.ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
-    (fitted,) = vehicle.fitted
+    (fitted,) = vehicle.parts.with_curve
     assert fitted.curve.slope == vehicle.parameters["suspension_damping"]
-    assert vehicle.linearised.fitted == ()
-    assert vehicle.with_ideal_actuators.fitted[0].curve(v) == pytest.approx(fitted.curve(v), abs=1e-9)
+    assert vehicle.linearised.parts.with_curve == ()
+    assert vehicle.with_ideal_actuators.parts.with_curve[0].curve(v) == pytest.approx(fitted.curve(v), abs=1e-9)
     other = replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3000.0})
     share = (3000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
-    np.testing.assert_allclose(other.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
+    np.testing.assert_allclose(other.parts.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
 
 
 @pytest.mark.attack
@@ -119,7 +123,7 @@ def test_a_car(name):
     text = BOTH.replace("c_min = 300.0\nc_max = 3000.0", f"c_min = {SOFT}\nc_max = {HARD}") + laws
     (run,) = runs(text, name, road=Bump(0.05, 5.0, 12.5), duration=0.2)
     check_physics(run)
-    assert [one.damper.pair is None for one in run.vehicle.adjustable] == [False, True]
+    assert [one.damper.pair is None for one in run.vehicle.parts.adjustable] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +174,7 @@ def test_files_hold_them(tmp_path):
         vehicle = read_vehicle(tmp_path / "car.toml")
         assert {file.name for file in vehicle.named_files} == {"soft.dpr", "firm.csv"}
         for made in (vehicle, parse_vehicle(vehicle.text)):
-            pair = made.adjustable[0].damper.pair
+            pair = made.parts.adjustable[0].damper.pair
             assert pair is not None
             v = np.linspace(-1.5, 1.5, 31)
             np.testing.assert_allclose(pair.soft(v), table(0, v), atol=1e-9)

@@ -229,7 +229,7 @@ def test_expected_values_follow():
         assert found[0][key] == pytest.approx(factor * value, rel=1e-9), key
     laden = [parse_vehicle(car("quarter_car", "dampers", one).text + "\n[payload]\nmass = 12.0\n") for one in (True, False)]
     for side in ("bump", "rebound"):
-        strokes = [one.strokes["suspension_deflection"][side] for one in (*laden, arm)]
+        strokes = [one.parts.strokes["suspension_deflection"][side] for one in (*laden, arm)]
         assert strokes[0] == pytest.approx(strokes[1], rel=EXACT)
         assert strokes[0] != strokes[2]
 
@@ -302,7 +302,7 @@ def test_a_stop_over_travel():
     """It begins where the element has gone its stroke, D(d) = -stroke, and a stop beyond the table of the ratio is doubted."""
     text = over_travel("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.03\nstop_stiffness = 1e5\n"
     vehicle = parse_vehicle(text)
-    assert travel_at(-vehicle.strokes["suspension_deflection"]["bump"]) == pytest.approx(-0.03, rel=1e-12)
+    assert travel_at(-vehicle.parts.strokes["suspension_deflection"]["bump"]) == pytest.approx(-0.03, rel=1e-12)
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
     assert not vehicle.doubts
     (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
@@ -367,7 +367,7 @@ def test_a_payload_over_travel(kind):
         assert laden.parameters[part.ratio] == pytest.approx(ratio_at(rest), rel=1e-9)
         rate = (carried(rest - 1e-6) - carried(rest + 1e-6)) / 2e-6
         assert laden.kind.at_wheels(laden.parameters)[part.stiffness] == pytest.approx(rate, rel=1e-6)  # of the difference
-        bump, other = (one.strokes[part.deflection]["bump"] for one in (laden, empty))
+        bump, other = (one.parts.strokes[part.deflection]["bump"] for one in (laden, empty))
         assert bump == pytest.approx(other + rest, rel=1e-9)
     assert driven(laden, "hybrid", "bump:height=0.05", 0.2).passed
 
@@ -401,7 +401,7 @@ def test_springs_of_one_parameter_over_travel():
         with pytest.raises(InputError, match=words):
             kind.check(dict(vehicle.parameters))
     for name in ("suspension_stiffness_front", "suspension_stiffness_rear"):  # the spring's own rate, as in [parameters]
-        assert f"{name} {vehicle.parameters[name]:.4g} (slope of the whole curve:" in lines_at_rest(vehicle.fitted)
+        assert f"{name} {vehicle.parameters[name]:.4g} (slope of the whole curve:" in lines_at_rest(vehicle.parts.with_curve)
 
 
 def test_published_ride_frequencies():

@@ -108,13 +108,13 @@ def check_physics(run):
 def test_one_for_all_and_for_one():
     """The keys of [actuators] go for every suspension that has no section, and for what its section leaves out."""
     text = HALF[: HALF.index("[actuators.front]")] + DAMPER + "[actuators.rear]\nc_max = 2500.0\nbandwidth = 80.0\n"
-    front, rear = parse_vehicle(text).adjustable
+    front, rear = parse_vehicle(text).parts.adjustable
     assert front.force == "control_force_front"
     assert (front.damper.c_min, front.damper.c_max, front.damper.bandwidth) == (300, 4000, None)
     assert (rear.force, rear.damper.c_min, rear.damper.c_max, rear.damper.bandwidth) == ("control_force_rear", 300, 2500, 80)
-    (only,) = parse_vehicle(MIXED).adjustable
+    (only,) = parse_vehicle(MIXED).parts.adjustable
     assert (only.force, only.coefficient, only.missing) == ("control_force_front", "damping_front", "missing_force_front")
-    (other,) = parse_vehicle(text.replace("c_max = 2500.0\nbandwidth = 80.0", 'kind = "force"')).adjustable
+    (other,) = parse_vehicle(text.replace("c_max = 2500.0\nbandwidth = 80.0", 'kind = "force"')).parts.adjustable
     assert other.force == "control_force_front"
 
 

@@ -51,7 +51,7 @@ def bilinear(v, d, force=F, ratio=None):
 def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
     """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
     ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
-    surface, rng = ratio.damper(tabled().fitted[0].curve), np.random.default_rng(0)
+    surface, rng = ratio.damper(tabled().parts.with_curve[0].curve), np.random.default_rng(0)
     v, d = rng.uniform(-1, 1, 500), rng.uniform(-0.06, 0.06, 500)
     turn = np.where(d < 0, -1.0, -0.5)
     r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
@@ -83,7 +83,7 @@ def test_a_run_agrees_and_says_when_the_table_leaves_its_line(kind, more):
             foretold = run.prediction.integrated
             assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
         off = np.zeros(len(time))
-        for one in vehicle.fitted:
+        for one in vehicle.parts.with_curve:
             v = run.physics[one.deflection.replace("deflection", "velocity")]
             force = np.array([bilinear(*pair) for pair in zip(v, run.physics[one.deflection], strict=True)])
             off = np.maximum(off, np.abs(force - one.curve.slope * v) / np.abs(F).max())
@@ -164,7 +164,9 @@ def test_a_file_is_the_table_in_its_place(tmp_path, form):
     vehicle, plain = read_vehicle(tmp_path / "mine.toml"), tabled()
     for what in ("velocities", "deflections", "table", "slope"):
         for read in (vehicle, parse_vehicle(vehicle.text)):
-            np.testing.assert_allclose(getattr(read.fitted[0].curve, what), getattr(plain.fitted[0].curve, what), rtol=1e-12)
+            np.testing.assert_allclose(
+                getattr(read.parts.with_curve[0].curve, what), getattr(plain.parts.with_curve[0].curve, what), rtol=1e-12
+            )
 
 
 WRONG = [

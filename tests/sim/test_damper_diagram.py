@@ -41,8 +41,8 @@ def test_points_are_what_suspensions_pull_with(kind, curves):
     vehicle = with_curves(kind, **curves)
     figure, runs = diagram(vehicle)
     assert figure is not None
-    assert len(figure.panels) == len(vehicle.fitted)
-    for panel, one in zip(figure.panels, vehicle.fitted, strict=True):
+    assert len(figure.panels) == len(vehicle.parts.with_curve)
+    for panel, one in zip(figure.panels, vehicle.parts.with_curve, strict=True):
         drawn, line = named(panel, "curve"), named(panel, "line at rest")
         inside = np.abs(drawn.x) < np.abs(one.curve.x).max()
         np.testing.assert_allclose(drawn.y[inside], np.interp(drawn.x[inside], one.curve.x, one.curve.force), atol=1e-6)

@@ -42,7 +42,7 @@ def test_averages_are_integrals(mean, deviation):
 
     With mean and slope the coefficients are nearly all of its power.
     """
-    curve = with_curves(suspension_damping=DIGRESSIVE).fitted[0].curve
+    curve = with_curves(suspension_damping=DIGRESSIVE).parts.with_curve[0].curve
 
     def average(factor):
         return integrated(lambda z: float(curve(np.array(mean + deviation * z))) * factor(z), curve, mean, deviation)
@@ -85,9 +85,9 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
     parameters = [one.damping for one in plain.kind.suspensions]
     shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
     shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
-    places = [one.deflection for one in shaped.fitted]
+    places = [one.deflection for one in shaped.parts.with_curve]
     controller, pulls = design(shaped, name), Elements((), *force_effects(shaped.kind, shaped.parameters, places))
-    index = [shaped.linear_model.outputs.index(one.argument) for one in shaped.fitted]
+    index = [shaped.linear_model.outputs.index(one.argument) for one in shaped.parts.with_curve]
 
     def of(extra, forces=None):
         softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}
@@ -131,7 +131,7 @@ def test_the_line_is_consistent_and_the_body_stands_lower():
         travel = expected.mean["suspension_deflection_rms"]
         assert travel == pytest.approx(np.hypot(deviations[i], shift), rel=1e-3)  # of this sum
         assert np.any(power[~inside & (omega < low), i] > 0)  # where the road has nothing
-        for k, (one, where) in enumerate(zip(vehicle.fitted, beyond.index, strict=True)):
+        for k, (one, where) in enumerate(zip(vehicle.parts.with_curve, beyond.index, strict=True)):
             level = line.mean.get(outputs[where], 0.0)
             mean, slope = averages(one.curve, level, deviations[where])
             of_line = line.vehicle.parameters[one.parameter]

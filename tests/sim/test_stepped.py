@@ -53,7 +53,7 @@ def integrated(vehicle, road, parts):
         parts: RK4's steps in a timestep.
     """
     p, law, adjusts = vehicle.parameters, vehicle.controllers["law"].law.sampled(PERIOD * H), bool(vehicle.dampers)
-    curves, c = {one.part.argument: one.curve for one in vehicle.fitted}, p["suspension_damping"]
+    curves, c = {one.part.argument: one.curve for one in vehicle.parts.with_curve}, p["suspension_damping"]
     spring = over_travel(p) if vehicle.kind.ratios else curves.get("deflection", lambda d: p["suspension_stiffness"] * d)
     damper = curves["velocity"] if "velocity" in curves and not vehicle.kind.ratios else lambda v: c * v
 

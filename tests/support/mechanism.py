@@ -181,7 +181,7 @@ def acting(on: RoadInput, run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Inputs are forces of actuators, or coefficients beyond the nominal ones. RK4 turns a lag of rate w into the factor R(w h).
     """
-    of = {one.force: (one.coefficient, one.nominal, one.damper.bandwidth or 0.0) for one in on.vehicle.adjustable}
+    of = {one.force: (one.coefficient, one.nominal, one.damper.bandwidth or 0.0) for one in on.vehicle.parts.adjustable}
     usual = on.vehicle.limits.actuator_bandwidth or 0.0
     names = [of.get(place.force, (place.force, 0.0, usual)) for place in on.vehicle.kind.suspensions]
     u, lag = np.stack([run[name] - nominal for name, nominal, _ in names], axis=-1), np.array([one[2] for one in names])

@@ -144,7 +144,7 @@ def _load(
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
     ended = ended_by(vehicle, run, has_anti_windup(controller))
-    if ended or vehicle.fitted:
+    if ended or vehicle.parts.with_curve:
         (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)
         measured = max(0.0, 1 - float(limit.of(run)[-samples:].max()) / static[tyre])
     else:
@@ -153,7 +153,9 @@ def _load(
         if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
             carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])
         measured = 1 - float(np.abs(carried)) / static[tyre]
-    allowed = math.inf if vehicle.fitted else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
+    allowed = (
+        math.inf if vehicle.parts.with_curve else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
+    )
     peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
     return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
 

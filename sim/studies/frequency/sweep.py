@@ -91,7 +91,7 @@ def sweep(
     loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
     off = [line.controller for line in lines if _off(line)[0] > _off(line)[1] and not line.ended]
     small: dict[str, Lines] = {}
-    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and (near.is_curved or has_geometry(near)):
+    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and (near.parts.nonlinear or has_geometry(near)):
         small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
     ideal = ideal_measurements(near)
     norms = [

@@ -204,7 +204,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:
         return None
-    vehicle, rest = line.vehicle, line.remainder
+    stops, vehicle, rest = vehicle.parts.strokes, line.vehicle, line.remainder
     low, high = road.band
     poles, rounding = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
@@ -275,7 +275,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         offset = line.mean.get(name, 0.0)
         signal = root(f"{name}_rms", index[name], offset=offset)
         mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
-        if (strokes := vehicle.strokes.get(name)) is not None:
+        if (strokes := stops.get(name)) is not None:
             bump, rebound = (strokes.get(side, math.inf) for side in SIDES)
             mean[f"{name}_at_stops"] = signal.beyond(bump + offset) + signal.beyond(rebound - offset)
     for name in where.tyres:

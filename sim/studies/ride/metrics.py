@@ -144,7 +144,7 @@ def points(vehicle: Vehicle) -> Points:
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
     """Returns the metrics of a vehicle, in the order of a table; if loads act on its body, its angles come first."""
-    where, stops = points(vehicle), vehicle.strokes
+    where, stops = points(vehicle), vehicle.parts.strokes
     metrics = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
     for name in where.accelerations:
         units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
@@ -226,8 +226,8 @@ class Meter:
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         self.strokes = {
-            name: np.array([[one.strokes[name].get(side, np.inf) for side in SIDES] for one in vehicles]).T[..., None]
-            for name in self.vehicle.strokes
+            name: np.array([[one.parts.strokes[name].get(side, np.inf) for side in SIDES] for one in vehicles]).T[..., None]
+            for name in self.vehicle.parts.strokes
         }
         damped = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
         tyres = {name: tyre for one in damped for name, tyre in one.items()}

@@ -80,7 +80,7 @@ KEYS = tuple(one.key for one in FIELDS)
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
     """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
-    for name, strokes in vehicle.strokes.items():
+    for name, strokes in vehicle.parts.strokes.items():
         for side, stroke in strokes.items():
             sign = -1.0 if side == SIDES[0] else 1.0
             most = max(0.0, float((sign * response[name][first:end]).max())), stroke
@@ -98,7 +98,7 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 
     A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
     """
-    where, stops, felt = points(vehicle), vehicle.strokes, vehicle.ride_points
+    where, stops, felt = points(vehicle), vehicle.parts.strokes, vehicle.ride_points
     forces = [name for name, *_ in where.actuators]
     return {
         RIDE.key: tuple(f"{name}_weighted" for name in felt.worst_of),

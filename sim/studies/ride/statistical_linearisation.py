@@ -261,7 +261,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     Args:
         timestep: timestep of the sampled loop [s].
     """
-    if not vehicle.is_curved:
+    if not vehicle.parts.nonlinear:
         return Equivalent(vehicle)
     line = equivalent_line(vehicle, controller, lambda car, signals: _deviations(car, controller, road, timestep, signals))
     return line and _with_remainder(line, controller, road, timestep)
@@ -290,10 +290,10 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
-    record, usual = line_object(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.fitted}
+    record, usual = line_object(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.parts.with_curve}
     slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
     slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
-    tabled = any(one.surface is not None for one in vehicle.fitted)
+    tabled = any(one.surface is not None for one in vehicle.parts.with_curve)
     note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
     rest, accuracy = line.remainder, "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. "
     if rest is not None and rest.sharp:
@@ -321,7 +321,7 @@ def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
 
 def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
     """Returns the equivalent line for JSON, in SI units."""
-    bent = {one.name: one for one in vehicle.fitted if one.curve.bent}
+    bent = {one.name: one for one in vehicle.parts.with_curve if one.curve.bent}
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
         "slopes": {name: _slope(line.vehicle, one) for name, one in bent.items()},

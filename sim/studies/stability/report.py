@@ -233,7 +233,7 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
         texts += [f"The loop does not include {how.noise_text}."] if how.has_measurement_noise else []
         texts += ["Margins require that the dampers of [actuators] give the commanded force."] if vehicle.dampers else []
         texts.append("Norms are those of the ideal loop.")
-    if slopes := lines_at_rest(vehicle.fitted):
+    if slopes := lines_at_rest(vehicle.parts.with_curve):
         texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
     if bent_at_rest(vehicle):
         texts.append("MuJoCo uses this linearisation, too, because a curve with a kink at equilibrium has no derivative there.")

@@ -151,7 +151,7 @@ def _check_corners(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, .
     for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
         other = _with_factors(vehicle, variations, corner)
         vehicle.kind.check(other.parameters)
-        _ = other.fitted
+        _ = other.parts.with_curve
 
 
 def robustness(

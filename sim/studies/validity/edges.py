@@ -22,7 +22,7 @@ TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
 def edges_object(cells: Cells) -> dict[str, Any]:
     """Returns the edges as a JSON object, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's."""
-    proportional = not (cells.loads or cells.vehicle.is_curved)  # so that one response predicts all heights
+    proportional = not (cells.loads or cells.vehicle.parts.nonlinear)  # so that one response predicts all heights
     along, *others = sorted(cells.axes, key=lambda axis: axis.name != "height")
     members: dict[float, list[int]] = {}
     for i, bump in enumerate(cells.bumps):
@@ -96,6 +96,6 @@ def travel_texts(cells: Cells) -> list[str]:
     """Describes how far a suspension without bump stops moves where no limit is reached; empty if every one has stops."""
     suspensions = cells.vehicle.kind.suspensions
     whole = cells.travel[cells.predicted < 0]
-    if not len(whole) or len(cells.vehicle.strokes) == len(suspensions):
+    if not len(whole) or len(cells.vehicle.parts.strokes) == len(suspensions):
         return []
     return [f"Below the limits, travel reaches {TRAVEL.text(whole.max())}; the vehicle file has no bump stops."]

@@ -66,7 +66,7 @@ def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], ti
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
     """Returns the response of each controller over its road; those that are not linear are computed side by side."""
-    bent = [i for i, one in enumerate(controllers) if vehicle.is_curved or not is_linear(vehicle, one)]
+    bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(vehicle, one)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
         runs = stepped([controllers[i] for i in some], [RoadInput(vehicle, roads[i], time) for i in some]).response
@@ -114,9 +114,9 @@ def _results(
         times, missing = reached(vehicle, response, has_anti_windup(controller)), math.nan
         if not is_linear(vehicle, controller):
             times[REGIME_ENDS.index(DAMPER)] = np.inf
-        if vehicle.adjustable:
-            lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.adjustable]))
-            requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.adjustable]) + lost) ** 2)
+        if vehicle.parts.adjustable:
+            lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.parts.adjustable]))
+            requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.parts.adjustable]) + lost) ** 2)
             missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
         ended = float(times.min()) < diverged
         broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if physics.ran_away[i] else DIVERGENCE

@@ -164,7 +164,7 @@ def _search(
         response = yield loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
         used = shares(vehicle, controller, response)
         share = float(used.max())
-        if not (vehicle.is_curved and 0 < share < math.inf) or 1 / WITHIN < share < WITHIN:
+        if not (vehicle.parts.nonlinear and 0 < share < math.inf) or 1 / WITHIN < share < WITHIN:
             return response, used / height
         if share > 1:
             high, at_end = height, (response, used / (share * height))

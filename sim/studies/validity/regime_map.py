@@ -196,7 +196,7 @@ def _predicted(
     proportional, or from one of each bump.
     """
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
-    proportional = not (vehicle.is_curved or loads)
+    proportional = not (vehicle.parts.nonlinear or loads)
     for i, bump in enumerate(bumps):
         members.setdefault(replace(bump, height=1.0) if proportional else loaded(bump, loads), []).append(i)
     used, times = np.empty((2, len(bumps), len(REGIME_ENDS)))

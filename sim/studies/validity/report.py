@@ -111,7 +111,7 @@ def describe(cells: Cells) -> Document:
     table = Table("shares", "", ("first limit, predicted", "cells"), tuple(rows))
     texts = [
         f"MuJoCo ran {len(cells.driven)} of {len(cells.bumps)} cells. In {HOLDS.cell(cells)} of these, linear analysis"
-        f"{' with the slopes at equilibrium' * cells.vehicle.is_curved} is within "
+        f"{' with the slopes at equilibrium' * cells.vehicle.parts.nonlinear} is within "
         f"{THRESHOLD.text(cells.threshold)} of every peak."
     ]
     if np.any(cells.predicted == END_NAMES.index(CURVE.name)):
@@ -148,7 +148,7 @@ def compare_maps(maps: Sequence[Cells], timestep: float, without: str) -> Docume
     text = (
         f"Bumps with {maps[0].fixed_text}, {size}. Colours show the first limit that one linear response per speed predicts. "
         f"MuJoCo simulates cells all over the map, and two bumps around every limit, at {1e3 * timestep:g} ms{without}.",
-        f"Linear analysis{' with the slopes at equilibrium' * maps[0].vehicle.is_curved} holds in a run if it is within "
+        f"Linear analysis{' with the slopes at equilibrium' * maps[0].vehicle.parts.nonlinear} holds in a run if it is within "
         f"{THRESHOLD.text(maps[0].threshold)} of every peak.",
     )
     caption = "Shares of cells by first predicted limit, and of MuJoCo's runs where analysis holds, or that are as predicted."
@@ -206,7 +206,7 @@ def describe_ends(vehicle: Vehicle, ends: Sequence[OneEnd], wrong: Sequence[str]
     if confirmed:
         off = at_most(max(end.error for end in confirmed))
         text += f" MuJoCo{noise} ran bumps {percent(WITHIN - 1)} lower and higher. Over the lower bumps, no limit is reached, "
-        which = NONLINEAR if vehicle.is_curved else "analysis"
+        which = NONLINEAR if vehicle.parts.nonlinear else "analysis"
         text += f"and {which} is within {off} of every peak. Over the higher bumps, this limit is reached."
     statements = [*([Statement(text, "holds")] if heights else []), *(Statement(one, "fails") for one in failed)]
     note = f"One linear run of the implemented loop{noise} predicts the height. Each run lasts {runs}."

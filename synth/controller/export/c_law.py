@@ -151,11 +151,11 @@ def exported_law(
         raise InputError(f"controller {driver.name!r} is {driver.kind}, already code; export a linear or semi-active law")
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
-    if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
+    if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.parts.adjustable):
         raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
-    if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.adjustable):
+    if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.parts.adjustable):
         raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
-    if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
+    if vehicle.dampers and len(vehicle.parts.adjustable) != len(model.inputs):
         raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions one kind")
     if how.delay != int(how.delay):
         raise InputError(
@@ -169,7 +169,7 @@ def exported_law(
         )
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
-    outputs = tuple(one.coefficient for one in vehicle.adjustable) if vehicle.dampers else model.inputs
+    outputs = tuple(one.coefficient for one in vehicle.parts.adjustable) if vehicle.dampers else model.inputs
     limits, sources_of = _ranges(vehicle, driver, ranges or {}, sources or {}) if numbers in BITS else (None, ())
     common: dict[str, Any] = {
         "name": name,
@@ -184,7 +184,7 @@ def exported_law(
         "resolution": np.array([how.quantisation.get(one, 0.0) for one in driver.measured]),
         "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
         "delay": int(how.delay),
-        "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
+        "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.parts.adjustable),
         "ranges": limits,
         "range_sources": sources_of,
     }

@@ -276,5 +276,5 @@ def _facts(vehicle: Vehicle) -> dict[str, Any]:
     facts: dict[str, Any] = {"type": vehicle.kind.name, **vehicle.parameters}
     for section, of in (("implementation", vehicle.implementation), ("limits", vehicle.limits)):
         facts |= {f"[{section}] {name}": value for name, value in vars(of).items() if name != "seed"}
-    facts["[actuators]"] = [(one.force, one.nominal, one.low, one.high) for one in vehicle.adjustable]
+    facts["[actuators]"] = [(one.force, one.nominal, one.low, one.high) for one in vehicle.parts.adjustable]
     return facts | {"[curves]": dict(vehicle.curves)}
