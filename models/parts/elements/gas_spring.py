@@ -1,0 +1,86 @@
+"""Gas spring: a piston of area A on a gas of volume V, as of an air spring, a hydropneumatic strut or a gas strut.
+
+The gas carries the load W at rest, with the volume V_0, and the atmosphere's pressure p_a acts on the other side of the piston:
+
+    F = W - (p - p_a) A,    p = p_0 (V_0 / V)^n,    p_0 = p_a + W / A,    V = V_0 + A d.
+
+The exponent n is 1 for a slow motion at constant temperature, and 1.4 for a fast one of air or nitrogen. The stiffness at rest is
+n p_0 A^2 / V_0 (J. Reimpell, H. Stoll, J. W. Betzler, The Automotive Chassis, 2nd ed., section 5.3).
+
+At another temperature T the load is the same, and so is its pressure. A level control with oil keeps the ride height, as in
+hydropneumatic suspensions, while the gas changes its volume: V_0 is then that of the file times T / T_0.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.schema import SI, Section
+from models.parts.part import Line, Number, Part
+
+ATMOSPHERE = 101325.0  # Pa
+USUAL = 293.15  # K
+NARROWEST = 0.02  # share of the volume at rest; a real spring is on its stop before
+DRAWN = 0.5  # share of the gas column at rest, up to which the curve is drawn, either way
+
+
+@dataclass(frozen=True)
+class GasSpring(Part, Section):
+    """Spring of a gas in a cylinder."""
+
+    argument = "deflection"
+    stores = True
+
+    area: Annotated[float, SI("m2", "A, area of the piston", 1e-6, 1.0)]
+    volume: Annotated[float, SI("m3", "V_0, volume of the gas at rest", 1e-7, 10.0)]
+    load: Annotated[float, SI("N", "W, force that the gas carries at rest; instead of pressure", 0.0, 1e7)] | None = None
+    pressure: Annotated[float, SI("Pa", "pressure of the gas at rest above the atmosphere's; instead of load", 0.0, 1e9)] | None = None
+    exponent: Annotated[float, SI("", "n, polytropic exponent: 1 for slow motion, 1.4 for fast motion", 1.0, 2.0)] = 1.3
+    temperature: Annotated[float, SI("K", "temperature of the gas, at the same load and ride height", 150.0, 600.0)] = USUAL
+    volume_temperature: Annotated[float, SI("K", "temperature at which the volume is that of the file", 150.0, 600.0)] = USUAL
+
+    def __post_init__(self) -> None:
+        if (self.load is None) == (self.pressure is None):
+            raise InputError("needs either load, the force that the gas carries at rest, or pressure; give one of both")
+
+    @property
+    def carried(self) -> Number:
+        """The force at rest [N]."""
+        return self.pressure * self.area if self.load is None else self.load  # pyright: ignore[reportOptionalOperand]
+
+    @property
+    def column(self) -> Number:
+        """Length of the gas column at rest [m]."""
+        return self.volume / self.area * self.temperature / self.volume_temperature
+
+    @property
+    def reach(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Deflection up to which the curve is drawn [m]."""
+        return float(DRAWN * np.min(self.column))
+
+    def _narrowing(self, d: Array) -> Array:
+        """Returns the logarithm of the volume over that at rest."""
+        return np.log(np.maximum(1 + d / self.column, NARROWEST))
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.pull`: W - (p - p_a) A = -(W + p_a A) ((V_0 / V)^n - 1)."""
+        return -(self.carried + ATMOSPHERE * self.area) * np.expm1(-self.exponent * self._narrowing(d))
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        """See `Part.stored`: the energy of the gas, less the work of the load and of the atmosphere."""
+        narrowing, m = self._narrowing(d), np.maximum(self.exponent - 1, 1e-12)
+        whole = self.carried + ATMOSPHERE * self.area
+        return whole * (d + self.column * np.expm1(-m * narrowing) / m)
+
+    @cached_property
+    def line(self) -> Line:
+        """See `Part.line`: n p_0 A^2 / V_0."""
+        return Line(self.exponent * (self.carried + ATMOSPHERE * self.area) / self.column)
+
+    @property
+    def words(self) -> str:
+        return f"a gas spring of {self.volume:g} m3 with a piston of {self.area:g} m2"
