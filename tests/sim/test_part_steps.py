@@ -1,5 +1,8 @@
 """Steps of MuJoCo with parts that have their own states, inputs and inertia, against equations that are written out here."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
 from typing import Any
 
 import mujoco
