@@ -1,6 +1,5 @@
 """Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts. Motion ratios of inputs."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -110,7 +109,8 @@ def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> li
         return forces
     from models.parts.ratio import together
 
-    first = dict(zip(map(id, vehicle.parts), itertools.accumulate((len(one.part.states) for one in vehicle.parts), initial=0)))
+    starts = np.cumsum([0, *(len(one.part.states) for one in vehicle.parts)]).tolist()
+    first = {id(one): start for one, start in zip(vehicle.parts, starts, strict=False)}
     for i, place in enumerate(vehicle.kind.suspensions):
         here = [one for one in vehicle.parts if one.deflection == place.deflection and (contacts or not one.part.contact)]
         acting = [one for one in here if (one.acts if whole else one.part.acts) and not (by_motor and one.native)]

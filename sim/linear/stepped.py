@@ -2,11 +2,11 @@
 
 With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` and E their effect on the states,
 
-    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u),    x = xi + J z_r,
+    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
-with d and v linear in x. A part whose own states z are not linear adds their rates beyond the linear model, which are further
-forces f with an effect on z alone. Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step
-are products with matrices that are known beforehand, and only f is evaluated stage by stage.
+with d, v and the own states z of parts linear in x. If these states are not linear, their rates beyond
+those of the linear model are further forces f. Over a step u, the road z_r and the loads l are held. All but f is
+linear, so the four stages of a step are products with matrices that are known beforehand, and only f is evaluated stage by stage.
 
 Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
 every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its

@@ -238,7 +238,9 @@ class _Loop:
         return computers
 
     def _map(self, actuators: Actuators) -> Array:
-        """Returns the map from a reading, (qpos, qvel), part of `sensordata` and the parts' own states, to measured signals and closing velocities."""
+        """Returns the map from a reading, (qpos, qvel), part of `sensordata` and the parts' own states, to measured signals and
+        closing velocities.
+        """
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]
         signals = np.concatenate(

@@ -1,7 +1,7 @@
 """Derivative of MuJoCo's own step about equilibrium.
 
-A step takes position, velocity, own states of parts and lagging forces z to A z + B u under the acting forces u. The sensors before it measure
-C z + D u, with the forces of the step before.
+A step takes position, velocity, own states of parts and lagging forces z to A z + B u under the acting forces u. The sensors
+before it measure C z + D u, with the forces of the step before.
 """
 
 from collections.abc import Sequence

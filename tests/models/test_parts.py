@@ -28,6 +28,8 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
@@ -695,6 +697,66 @@ def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     for own, one in zip(together, inputs, strict=True):
         assert np.array_equal(own, simulate([held(kind)], [one]).response.values[0])
     assert not np.array_equal(together[0], together[2])
+
+
+OMEGA = np.geomspace(0.1, 1e3, 40)  # rad/s
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_a_maxwell_element_has_its_complex_stiffness(ratio):
+    """At each frequency the pull per deflection is r^2 k j w c / (k + j w c), with the stiffness k and damping c of the file."""
+    one = next(one for one in car("half_car", ("Maxwell element",), ratio).parts if one.states)
+    r, line, s = ratios_at(ratio, "_front")[1], one.part.line, 1j * OMEGA
+    rates, of_travel = line.rates[0, 0], line.rates[0, 1] + s * line.rates[0, 2]
+    r_at_rest = np.interp(0.0, *ratios_at(ratio, "_front")) if len(r) > 1 else r[0]
+    found = line.stiffness + s * line.damping + line.of_states[0] * of_travel / (s - rates)
+    np.testing.assert_allclose(found, r_at_rest**2 * 6e4 * s * 1500.0 / (6e4 + s * 1500.0), rtol=1e-9)
+
+
+def test_the_poles_of_a_quarter_car_with_a_maxwell_element():
+    """Poles are the roots of the determinant of the equations of motion, with the complex stiffness written out here."""
+    p, k, c = read_vehicle("quarter_car").parameters, 6e4, 1500.0
+    m_s, m_u, k_s, c_s, k_t = (
+        p[name] for name in ("sprung_mass", "unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+    )
+    text = f'{read_vehicle("quarter_car").text}\n[parts.mount]\nkind = "maxwell"\nstiffness = {k}\ndamping = {c}\n'
+    s = np.polynomial.Polynomial([0.0, 1.0])
+    strut = (k_s + c_s * s) * (k + c * s) + k * c * s  # times k + c s, as all else
+    determinant = (m_s * m_u * s**4 + k_t * m_s * s**2) * (k + c * s) + strut * ((m_s + m_u) * s**2 + k_t)
+    poles = np.linalg.eigvals(parse_vehicle(text).linear_model.A)
+    for root in determinant.roots():
+        assert np.abs(poles - root).min() < 1e-9 * np.abs(root)
+    assert len(poles) == 5
+    assert parse_vehicle(text).linear_model.states[-1] == "mount_extension", "which state feedback measures"
+
+
+@pytest.mark.slow
+def test_own_states_are_measured_logged_and_replayed(tmp_path, capsys):
+    """A law that names the state of an element measures it in MuJoCo; the run agrees, and its log replays with this verdict."""
+    text = read_vehicle("quarter_car").text + '\n[parts.mount]\nkind = "maxwell"\nstiffness = 6e4\ndamping = 1500.0\n'
+    text += '[controllers.mount]\nmeasured = ["sprung_velocity", "mount_extension"]\ngain = [[-1000.0, 20000.0]]\n'
+    (tmp_path / "car.toml").write_text(text, encoding="utf-8")
+    options = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "mount", "--duration", "0.3", "--json"]
+    assert bump([*options, "--logs", str(tmp_path / "logs")]) == 0
+    (log,) = (tmp_path / "logs").rglob("*.mcap")
+    assert inspect([str(log)]) == 0
+    assert "mount_extension" in capsys.readouterr().out
+
+
+def test_a_state_that_is_too_fast_for_the_timestep():
+    """A stiff mount whose state is faster than RK4 bears is refused in a line with its section, before the run."""
+    text = read_vehicle("quarter_car").text + '\n[parts.mount]\nkind = "maxwell"\nstiffness = 1e6\ndamping = 100.0\n'
+    with pytest.raises(InputError, match=r"because a state of \[parts.mount\] has a rate of 1e\+04 1/s; give a smaller"):
+        sample_times(parse_vehicle(text), 1.0, 1e-3)
+
+
+def test_the_name_of_a_state_is_free():
+    """An element whose state would have the name of another signal is refused."""
+    text = read_vehicle("quarter_car").text + '\n[parts.suspension]\nkind = "bouc_wen"\nstiffness = 1e4\nshare = 0.2\n'
+    assert parse_vehicle(text + "beta = 1.0\ngamma = 1.0\n").kind.of_parts[0].name == "suspension_hysteresis"
+    kind = read_vehicle("quarter_car").kind
+    with pytest.raises(InputError, match=re.escape("has the state 'suspension_deflection', which is the name of another signal")):
+        kind.with_states((kind.signal("suspension_deflection"),))
 
 
 @dataclasses.dataclass(frozen=True)
