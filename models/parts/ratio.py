@@ -94,7 +94,13 @@ class AtRatio(Part):
     def line(self) -> Line:
         own, r = self.part.line, self.scale * self.table.at_rest
         of_preload = -self.table.turn * self.load
-        return Line(r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload)
+        slopes = r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload
+        if own.of_states is None or own.rates is None:
+            return Line(*slopes)
+        of_travel = np.ones(own.rates.shape[-1])
+        of_travel[-3:-1] = 0.0
+        factors = of_travel + np.asarray(r)[..., None] * (1 - of_travel)
+        return Line(*slopes, np.asarray(r)[..., None] * own.of_states, factors[..., None, :] * own.rates)
 
     @property
     def bent(self) -> bool:

@@ -2,10 +2,11 @@
 
 With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` and E their effect on the states,
 
-    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u),    x = xi + J z_r,
+    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
-with d and v linear in x. Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step
-are products with matrices that are known beforehand, and only f is evaluated stage by stage.
+with d, v and the own states z of parts linear in x. If these states are not linear, their rates beyond
+those of the linear model are further forces f. Over a step u, the road z_r and the loads l are held. All but f is
+linear, so the four stages of a step are products with matrices that are known beforehand, and only f is evaluated stage by stage.
 
 Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
 every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its
@@ -14,6 +15,7 @@ force. No limit of travel or force acts.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -49,9 +51,11 @@ class Stepper:
         self._vehicle = vehicle
         self.model, acting, at_once = _with_lags(vehicle)
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
-        (rows, of_road, push, shown), model = suspensions_of(vehicle, self._forces.acts), self.model
-        (n, m), s = model.B.shape, shown.shape[1]
-        self._n, self._s, self.shown, self.ratios = n, s, shown, MotionRatios([vehicle])
+        (rows, of_road, push, shown), model = suspensions_of(vehicle, vehicle.linear_model, self._forces.acts), self.model
+        (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
+        push = np.hstack([push, np.eye(len(push), own, own - len(push))])  # own states are the last ones of the linear model
+        w = s + own
+        self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching(vehicle) if vehicle.dampers else np.zeros((m, n))
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
@@ -60,27 +64,30 @@ class Stepper:
         if felt:
             rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
             of_road = np.pad(of_road, ((0, m), (0, 0)))
+        if own:
+            rows = np.vstack([rows, np.eye(own, n, len(push) - own)])
+            of_inputs, of_road = (np.pad(one, ((0, own), (0, 0))) for one in (of_inputs, of_road))
         self._acting, self._at_once = acting.T, at_once.T
         self._rows, self._of_road, self._of_inputs = rows.T, of_road.T, of_inputs.T
         # All that a step has, by what it depends on: states, inputs, road, loads, and the forces of the four stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
-        start = total = np.eye(n, forces + 4 * s)
+        start = total = np.eye(n, forces + 4 * w)
         rate, stages = np.zeros_like(start), list[Array]()
-        argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * s))])
+        argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * w))])
         for i, (share, weight) in enumerate(zip(SHARES, WEIGHTS, strict=True)):
             at = start + share * timestep * rate
             stages.append(rows @ at + argument)
             rate = model.A @ at
             rate[:, n:forces] += held
-            rate[: len(push), forces + i * s : forces + (i + 1) * s] += push
+            rate[: len(push), forces + i * w : forces + (i + 1) * w] += push
             total = total + weight * timestep * rate
         every = np.vstack([total, *stages]).T
         self._of_states, self.by_inputs, self._outside = (
             np.ascontiguousarray(every[begin:end]) for begin, end in ((0, n), (n, n + m), (n + m, forces))
         )
         self._pushed = np.ascontiguousarray(total[:, forces:].T)
-        self._later = [np.ascontiguousarray(one[:, forces : forces + i * s].T) for i, one in enumerate(stages)]
+        self._later = [np.ascontiguousarray(one[:, forces : forces + i * w].T) for i, one in enumerate(stages)]
         self._stages = [slice(n + i * len(rows), n + (i + 1) * len(rows)) for i in range(len(stages))]
 
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
@@ -97,14 +104,17 @@ class Stepper:
             xi: xi before the step, shape (N, n).
             added: what road, loads and inputs add, shape (N, k), see `outside` and `by_inputs`.
         """
-        known, s, forces, still = xi.dot(self._of_states), self._s, self._forces, self._still
+        known, s, w, forces = xi.dot(self._of_states), self._s, self._s + self._own, self._forces
         known += added
-        pulls = np.empty((len(xi), 4 * s))
+        pulls = np.empty((len(xi), 4 * w))
         for i, (stage, later) in enumerate(zip(self._stages, self._later, strict=True)):
             y = known[:, stage]
             if i:
-                y = y + pulls[:, : i * s].dot(later)
-            pulls[:, i * s : (i + 1) * s] = forces(y[:, :s], y[:, s : 2 * s], y[:, 2 * s :] if still is None else still)
+                y = y + pulls[:, : i * w].dot(later)
+            at = self._at(y)
+            pulls[:, i * w : i * w + s] = forces(*at)
+            if self._own:
+                pulls[:, i * w + s : (i + 1) * w] = forces.rates(*at)
         return known[:, : self._n] + pulls.dot(self._pushed)
 
     def pulls(self, xi: Array, heights: Array, inputs: Array) -> Array:
@@ -115,8 +125,13 @@ class Stepper:
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
         """
-        y, s = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs, self._s
-        return self._forces(y[..., :s], y[..., s : 2 * s], y[..., 2 * s :] if self._still is None else self._still)
+        return self._forces(*self._at(xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs))
+
+    def _at(self, y: Array) -> tuple[Array, Array, Array, Any]:
+        """Returns what forces depend on, as `SuspensionForces` takes it, from the arguments of a stage, shape (..., N, k)."""
+        s, end = self._s, y.shape[-1] - self._own
+        inputs = y[..., 2 * s : end] if self._still is None else self._still
+        return y[..., :s], y[..., s : 2 * s], inputs, y[..., end:] if self._own else None
 
     def speeds(self, xi: Array, heights: Array) -> Array:
         """Returns the stretching rates of adjustable dampers [m/s], shape (..., m); arguments as for `pulls`."""

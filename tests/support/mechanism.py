@@ -196,7 +196,7 @@ def integrated(on: RoadInput, force, knots, u, commands, lag) -> np.ndarray:
     Road and commands are held over each step, as MuJoCo has them; inputs follow with their lag.
 
     Args:
-        force: pull at the wheel [N] by deflection, its rate and the input.
+        force: pull at the wheel [N] by deflection, its rate, the input and states of its own, and their `rates`.
         knots: functions of deflection and its rate, each 0 where the force has a knot.
         u, commands, lag: see `acting`.
     """
@@ -205,14 +205,16 @@ def integrated(on: RoadInput, force, knots, u, commands, lag) -> np.ndarray:
 
     def rate(since, x):
         held = to + (begin - to) * np.exp(-lag[0] * since)
-        f, t = float(force(x[0] - x[1], x[2] - x[3], held)), x[1] - road
-        return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"]]
+        d, v, z = x[0] - x[1], x[2] - x[3], x[4:]
+        f, t = float(force(d, v, held, z)), x[1] - road
+        rates = force.rates(d, v, z)
+        return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"], *rates]
 
     events = [lambda _, x: x[1] - road - static]
     events += [lambda _, x, knot=knot: float(knot(x[0] - x[1], x[2] - x[3])) for knot in knots]
     for event in events:
         vars(event)["terminal"] = True
-    x, found = np.zeros(4), []
+    x, found = np.zeros(4 + len(on.vehicle.kind.of_parts)), []
     for k in range(len(u)):
         road, begin, to = on.midway[k, 0], u[k, 0], commands[min(k, len(commands) - 1), 0]
         found.append([x[0] - x[1], x[1] - on.heights[k, 0]])
