@@ -194,16 +194,32 @@ class LinearModel:
             **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
         )
 
-    def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
-        """Returns the model with springs and dampers along e lengths, f = k d + c d'.
+    def with_lines(
+        self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array, inertance: Array
+    ) -> "LinearModel":
+        """Returns the model with springs, dampers and inerters along e lengths, f = k d + c d' + b d''.
+
+        With d' = S x and the effect E of the forces, a force p = b S (x' + E p) of inerters is (1 - b S E)^-1 b S x', where x' is
+        the rate without inerters.
 
         Args:
             rows: lengths from the states, on which neither the road nor forces act at once, shape (e, n).
             push, shown: effect of forces that pull along them on x' and on the outputs, shapes (n, e) and (p, e).
-            stiffness, damping: k [N/m] and c [N s/m], shape (e,).
+            stiffness, damping, inertance: k [N/m], c [N s/m] and b [kg], shape (e,).
         """
-        force = stiffness[:, None] * rows + damping[:, None] * (rows @ self.A)
-        return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
+        speeds = rows @ self.A
+        force = stiffness[:, None] * rows + damping[:, None] * speeds
+        model = replace(self, A=self.A + push @ force, C=self.C + shown @ force)
+        if not inertance.any():
+            return model
+        b = np.diag(inertance)
+        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per x'
+        pairs = (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw"))
+        moved: dict[str, Array] = {}
+        for acting, direct in pairs:
+            pull = of_rates @ getattr(model, acting)
+            moved[acting], moved[direct] = getattr(model, acting) + push @ pull, getattr(model, direct) + shown @ pull
+        return replace(model, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
 
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""

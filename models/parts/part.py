@@ -38,27 +38,29 @@ CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
 @dataclass(frozen=True)
 class Line:
-    """Line of a part at rest, for linear analysis: pull = k d + c v + g u.
+    """Line of a part at rest, for linear analysis: pull = k d + c v + b v' + g u.
 
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
         gain: g, force per unit of the input; 0 without one.
         of_preload: part of k by a preload at a motion ratio over travel [N/m].
+        inertance: b [kg].
     """
 
     stiffness: Number = 0.0
     damping: Number = 0.0
     gain: Number = 0.0
     of_preload: Number = 0.0
+    inertance: Number = 0.0
 
     @property
     def sloped(self) -> bool:
         """True if it pulls without an input."""
-        return bool(self.stiffness or self.damping)
+        return bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
-        """Returns the pull of the line [N], shape (...)."""
+        """Returns the pull of the line without its inertance [N], shape (...)."""
         total: Any = 0.0
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
             if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
@@ -91,7 +93,6 @@ class Part(ABC):
 
     states: ClassVar[int] = 0
     inputs: ClassVar[int] = 0
-    inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
@@ -117,16 +118,24 @@ class Part(ABC):
         """Returns the stored energy [J], shape (...)."""
         return np.zeros(np.shape(d))
 
+    def inertance_at(self, d: Array) -> Number:
+        """Returns b of a further force b v' [kg], shape () or (...); the kinetic energy of the part is b v^2 / 2."""
+        return 0.0
+
+    def centrifugal(self, d: Array, v: Array) -> Array | float:
+        """Returns the part of `pull` because b changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
+        return 0.0
+
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along)
-        return Line(*slopes)
+        return Line(*slopes, inertance=self.inertance_at(np.zeros(())))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
+        """Returns the force beyond the line, without that of an inertance [N], shape (...). Arguments as for `pull`."""
         return self.pull(d, v, z, u) - self.line(d, v, u)
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
@@ -344,6 +353,9 @@ class Straight(Part):
     def stored(self, d: Array, z: Any = None) -> Array:
         return self.at_rest.stiffness * np.square(d) / 2
 
+    def inertance_at(self, d: Array) -> Number:
+        return self.at_rest.inertance
+
     @cached_property
     def line(self) -> Line:
         return self.at_rest
@@ -381,6 +393,11 @@ class Stack:
         if len(self._groups) == 1 and not self._line:  # in each stage of a step
             return self._groups[0][0].beyond(d, v, z, u)
         return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
+
+    def inertance(self, d: Array) -> Array:
+        """Returns the inertances beyond the line, or with those of the line [kg], shape (..., N, k)."""
+        least = 0.0 if self._line else 1.0
+        return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
         """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""

@@ -15,6 +15,7 @@ PARTS = {  # name -> module and class
     "adjustable damper": "models.parts.adjustable:Adjustable",
     "actuator": "models.parts.actuator:Actuator",
     "hydraulic_stop": "models.parts.hydraulic_stop:HydraulicStop",
+    "inerter": "models.parts.inerter:Inerter",
 }
 
 

@@ -227,6 +227,11 @@ class Vehicle(Shown):
         return any(one.part.bent and not one.part.contact for one in self.parts)
 
     @property
+    def inertial(self) -> bool:
+        """True if a suspension has a force that depends on the second derivative of its deflection."""
+        return any(one.added.inertance for one in self.parts)
+
+    @property
     def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
@@ -238,15 +243,36 @@ class Vehicle(Shown):
     @cached_property
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
-        model = self.kind.model(self.parameters)
+        return self._with_lines(self.kind.model(self.parameters))
+
+    def _with_lines(self, model: LinearModel) -> LinearModel:
+        """Returns a linear model of the vehicle type with the lines of all parts."""
         more = [one for one in self.parts if one.added.sloped] if self.elements else []
         if not more:
             return model
         names, lines = [one.deflection for one in more], [one.added for one in more]
-        stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
+        slopes = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping", "inertance"))
         from models.kinds.at_wheels import force_effects
 
-        return model.with_lines(model.rows(names)[0], *force_effects(self.kind, self.parameters, names), stiffness, damping)
+        return model.with_lines(model.rows(names)[0], *force_effects(self.kind, self.parameters, names), *slopes)
+
+    def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
+        """Returns the effect of suspension forces that pull together on the states and outputs of its linear model.
+
+        Args:
+            deflections: signals of e suspensions.
+
+        Returns:
+            Effects per force, shapes (n, e) and (p, e): for inertial parts carry a share of the force.
+        """
+        from models.kinds.at_wheels import force_effects
+
+        push, shown = force_effects(self.kind, self.parameters, deflections)
+        if not self.inertial:
+            return push, shown
+        names = tuple(f"pull_{i}" for i in range(len(deflections)))
+        model = self._with_lines(replace(self.kind.model(self.parameters), loads=names, Bl=push, Dl=shown))
+        return model.Bl, model.Dl
 
     @cached_property
     def ride_points(self) -> RidePoints:

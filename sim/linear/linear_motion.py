@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from models.kinds.motion import Pulls
 
 
-def suspensions_of(vehicle: Vehicle, acts: Array) -> tuple[Array, Array, Array, Array]:
+def suspensions_of(vehicle: Vehicle, acts: Array, lines: bool = True) -> tuple[Array, Array, Array, Array]:
     """Returns the suspensions of a vehicle on its linear model; rows and columns of those without forces are 0.
 
     Args:
         acts: True for each suspension with forces beyond the linear model.
+        lines: False for the effect of forces in the linear model without the lines of elements of `[parts]`.
 
     Returns:
         Gains from states and from road heights to their deflections and, after these, to their rates, shapes (2 s, n) and
@@ -42,7 +43,9 @@ def suspensions_of(vehicle: Vehicle, acts: Array) -> tuple[Array, Array, Array, 
         if velocity in model.outputs:
             speed = model.outputs.index(velocity)
             rows[count + i], of_road[count + i] = model.C[speed], model.Cr[speed]
-        push[:, [i]], shown[:, [i]] = force_effects(vehicle.kind, vehicle.parameters, [part.deflection])
+        here = [part.deflection]
+        effects = vehicle.force_effects(here) if lines else force_effects(vehicle.kind, vehicle.parameters, here)
+        push[:, [i]], shown[:, [i]] = effects
     return rows, of_road, push, shown
 
 
@@ -60,7 +63,7 @@ class LinearMotion:
         acts = SuspensionForces([vehicle]).acts
         if any(one.deflection not in self.names for one, act in zip(vehicle.kind.suspensions, acts, strict=True) if act):
             raise ValueError("forces act along a deflection that is not a state")
-        self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, acts)
+        self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, acts, lines=False)
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """See `Motion`. The state is the part of the linear model's state that does not jump with the road."""

@@ -4,8 +4,9 @@ With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` 
 
     xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u),    x = xi + J z_r,
 
-with d and v linear in x. Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step
-are products with matrices that are known beforehand, and only f is evaluated stage by stage.
+with d and v linear in x. If the inertance at a motion ratio differs by b(d) from that in A, f has b(d) v', too, and v' = V xi'.
+Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step are products with matrices
+that are known beforehand, and only f is evaluated stage by stage.
 
 Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
 every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its
@@ -52,6 +53,8 @@ class Stepper:
         (rows, of_road, push, shown), model = suspensions_of(vehicle, self._forces.acts), self.model
         (n, m), s = model.B.shape, shown.shape[1]
         self._n, self._s, self.shown, self.ratios = n, s, shown, MotionRatios([vehicle])
+        V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
+        self._response = V[:, : len(push)] @ push  # of v' to forces
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching(vehicle) if vehicle.dampers else np.zeros((m, n))
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
@@ -61,7 +64,9 @@ class Stepper:
             rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
             of_road = np.pad(of_road, ((0, m), (0, 0)))
         self._acting, self._at_once = acting.T, at_once.T
-        self._rows, self._of_road, self._of_inputs = rows.T, of_road.T, of_inputs.T
+        self._rows = np.vstack([rows, V @ model.A]).T
+        self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
+        self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
         # All that a step has, by what it depends on: states, inputs, road, loads, and the forces of the four stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
@@ -70,9 +75,10 @@ class Stepper:
         argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * s))])
         for i, (share, weight) in enumerate(zip(SHARES, WEIGHTS, strict=True)):
             at = start + share * timestep * rate
-            stages.append(rows @ at + argument)
+            moved = rows @ at + argument
             rate = model.A @ at
             rate[:, n:forces] += held
+            stages.append(np.vstack([moved, V @ rate]))
             rate[: len(push), forces + i * s : forces + (i + 1) * s] += push
             total = total + weight * timestep * rate
         every = np.vstack([total, *stages]).T
@@ -81,7 +87,8 @@ class Stepper:
         )
         self._pushed = np.ascontiguousarray(total[:, forces:].T)
         self._later = [np.ascontiguousarray(one[:, forces : forces + i * s].T) for i, one in enumerate(stages)]
-        self._stages = [slice(n + i * len(rows), n + (i + 1) * len(rows)) for i in range(len(stages))]
+        width = len(rows) + len(V)
+        self._stages = [slice(n + i * width, n + (i + 1) * width) for i in range(len(stages))]
 
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
         """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
@@ -97,26 +104,40 @@ class Stepper:
             xi: xi before the step, shape (N, n).
             added: what road, loads and inputs add, shape (N, k), see `outside` and `by_inputs`.
         """
-        known, s, forces, still = xi.dot(self._of_states), self._s, self._forces, self._still
+        known, s = xi.dot(self._of_states), self._s
         known += added
         pulls = np.empty((len(xi), 4 * s))
         for i, (stage, later) in enumerate(zip(self._stages, self._later, strict=True)):
             y = known[:, stage]
             if i:
                 y = y + pulls[:, : i * s].dot(later)
-            pulls[:, i * s : (i + 1) * s] = forces(y[:, :s], y[:, s : 2 * s], y[:, 2 * s :] if still is None else still)
+            pulls[:, i * s : (i + 1) * s] = self._pulls(y)
         return known[:, : self._n] + pulls.dot(self._pushed)
 
-    def pulls(self, xi: Array, heights: Array, inputs: Array) -> Array:
+    def pulls(self, xi: Array, heights: Array, inputs: Array, held: Array | None = None) -> Array:
         """Returns the forces of the suspensions [N], shape (..., N, s).
 
         Args:
             xi: shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
+            held: loads, and road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None for zero.
         """
-        y, s = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs, self._s
-        return self._forces(y[..., :s], y[..., s : 2 * s], y[..., 2 * s :] if self._still is None else self._still)
+        y = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs
+        if held is not None and len(self._of_held):
+            y[..., -self._s :] += held @ self._of_held.T
+        return self._pulls(y)
+
+    def _pulls(self, y: Array) -> Array:
+        """Returns the forces for deflections, their rates, inputs that act, and v' without these forces, shape (..., N, k)."""
+        s, end = self._s, y.shape[-1] - len(self._response)
+        d, v, inputs = y[..., :s], y[..., s : 2 * s], y[..., 2 * s : end] if self._still is None else self._still
+        f = self._forces(d, v, inputs)
+        if not len(self._response):
+            return f
+        b = self._forces.inertance(d)
+        held = np.eye(s) - b[..., None] * self._response
+        return np.linalg.solve(held, (f + b * y[..., end:])[..., None])[..., 0]
 
     def speeds(self, xi: Array, heights: Array) -> Array:
         """Returns the stretching rates of adjustable dampers [m/s], shape (..., m); arguments as for `pulls`."""
@@ -132,7 +153,8 @@ class Stepper:
             missing: forces that adjustable dampers omit [N], shape (T, m) or, without such dampers, (T, 0).
         """
         vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
-        beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None])[:, 0] @ self.shown.T
+        held = road.in_signals[:, None] if road.pushed else None
+        beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None], held)[:, 0] @ self.shown.T
         if road.pushed:
             beyond = beyond + road.in_signals @ model.Dh.T
         if vehicle.dampers:
@@ -281,6 +303,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     laws = _Laws(controllers, inputs, steps, period)
     (n, m), count, samples = steps.model.B.shape, len(inputs), len(time)
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
+    readings = np.stack([one.in_readings for one in inputs], axis=1) if any(one.pushed for one in inputs) else None
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
     xi, kept, now = (np.zeros((count, width)) for width in (n, laws.states, m))
@@ -291,7 +314,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
         if not laws.idle:
             if k % period == 0:  # a reading contains the forces that acted until then
                 kept_along[k // period] = kept
-                pulls = steps.pulls(xi, heights[k], now) if laws.feels else unfelt
+                pulls = steps.pulls(xi, heights[k], now, None if readings is None else readings[k]) if laws.feels else unfelt
                 requested, kept = laws(k // period, xi, now, pulls, kept)
                 waiting[k + late] = (requested, lost)
                 if of is not None:

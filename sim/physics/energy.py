@@ -168,8 +168,8 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
-        start += _stored(one, length.d)
-        end += _stored(one, length.after)
+        start += _stored(one, length.d) + _kinetic(one, length.d, length.v)
+        end += _stored(one, length.after) + _kinetic(one, length.after, length.v[1:])
         lost += _lost(one, length)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
@@ -190,6 +190,11 @@ def _stored(one: "SuspensionPart", deflection: Array) -> Array:
     return one.part.stored_beyond(deflection) + one.added.stiffness * np.square(deflection) / 2
 
 
+def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | float:
+    """Returns the kinetic energy of a part [J], shape (...)."""
+    return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
+
+
 def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
@@ -197,7 +202,8 @@ def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
     """
     if one.part.stores:
         return 0.0
-    taken = length.integral(v * (one.part.beyond(d, v) + one.added(d, v)) for d, v in length.stages)
+    forces = ((v, one.part.beyond(d, v) + one.added(d, v) - one.part.centrifugal(d, v)) for d, v in length.stages)
+    taken = length.integral(v * force for v, force in forces)
     return taken - (_stored(one, length.after) - _stored(one, length.d[:-1]))
 
 

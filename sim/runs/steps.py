@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.document.field import Field
+from models.parts.part import STEP
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
@@ -30,9 +32,10 @@ from sim.response.recursion import SHARES, WEIGHTS, lag_stages, lagging
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.kinds.motion import Motion
+    from models.kinds.motion import Motion, Pulls
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
 ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
@@ -196,9 +199,44 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     total, at, rate, forces = np.zeros_like(state), state, np.zeros_like(state), SuspensionForces([starts.vehicle])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at = state + share * h * rate
-        rate = motion.rate(at, starts.midway, _at_wheels(starts.vehicle, given), partial(forces, inputs=given), starts.loads)
+        acting = starts.midway, _at_wheels(starts.vehicle, given)
+        rate = motion.rate(at, *acting, _pulls(motion, forces, given, at, *acting, starts.loads), starts.loads)
         total += weight * rate
     return motion.read(state + h * total, starts.heights[1:]), starts.there
+
+
+def _pulls(
+    motion: "Motion", forces: SuspensionForces, given: Array, state: Array, heights: Array, inputs: Array, loads: Array
+) -> "Pulls":
+    """Returns the forces of suspensions for some states, with those of inertial parts.
+
+    Without inertial parts the rates of the deflections change by a; pulls p of theirs make this a + R p. So p = b (a + R p). A
+    complex step along a motion has the exact change of the rates of the deflections.
+
+    Raises:
+        InputError: the equations of a custom vehicle type do not take complex states.
+    """
+    pulls, seen = partial(forces, inputs=given), list[tuple[Array, Array]]()
+    if not forces.inertial or not len(state):
+        return pulls
+
+    def along(d: Array, v: Array) -> Array:
+        seen.append((d, v))
+        return np.zeros(v.shape)
+
+    def change(more: Array | float) -> Array:
+        rates = motion.rate(state, heights, inputs, lambda d, v: pulls(d, v) + more, loads)
+        motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
+        if not np.iscomplexobj(seen[-1][1]):
+            raise InputError("motion of this vehicle type drops the imaginary part of states; an inerter needs it, so keep it")
+        return np.imag(seen[-1][1]) / STEP
+
+    free = change(0.0)
+    response = np.stack([(change(UNIT * one) - free) / UNIT for one in np.eye(free.shape[1])], axis=-1)
+    b = forces.inertance(np.real(seen[0][0]))
+    held = np.eye(free.shape[1]) - b[..., None] * response
+    inertial = np.linalg.solve(held, (b * free)[..., None])[..., 0]
+    return lambda d, v: pulls(d, v) + inertial
 
 
 def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
@@ -208,9 +246,11 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
 
     def pulls(d: Array, v: Array) -> Array:
         seen.append((d, v))
-        return forces(d, v, given)
+        return pulled(d, v)
 
-    shown = dict(motion.outputs(starts.state, starts.heights[:-1], _at_wheels(vehicle, given), pulls, loads))
+    at = starts.state, starts.heights[:-1], _at_wheels(vehicle, given)
+    pulled = _pulls(motion, forces, given, *at, loads)
+    shown = dict(motion.outputs(*at, pulls, loads))
     travels, speeds = seen[0]
     for part, v in zip(kind.suspensions, speeds.T, strict=True):
         shown.setdefault(part.velocity.name, v)
