@@ -213,6 +213,27 @@ class LinearModel:
         force = stiffness[:, None] * rows + damping[:, None] * (rows @ self.A)
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
 
+    def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
+        """Returns the model with inerters along e lengths, f = b d'', in parallel to all its forces.
+
+        With d' = S x and the effect E of the forces, a force p = b S (x' + E p) of inerters is (1 - b S E)^-1 b S x', where x' is
+        the rate without inerters.
+
+        Args:
+            speeds: S, shape (e, n).
+            push, shown: effect of forces that pull along them on x' (E) and on the outputs, shapes (n, e) and (p, e).
+            inertance: b [kg], shape (e,).
+        """
+        if not inertance.any():
+            return self
+        b = np.diag(inertance)
+        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per x'
+        moved: dict[str, Array] = {}
+        for acting, direct in (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw")):
+            pull = of_rates @ getattr(self, acting)
+            moved[acting], moved[direct] = getattr(self, acting) + push @ pull, getattr(self, direct) + shown @ pull
+        return replace(self, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
+
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""
         if np.all(ratios == 1):

@@ -39,13 +39,16 @@ CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Line of a part with n states at rest, for linear analysis: pull = k d + c v + C z + g u, and the rates of its states.
+    """Line of a part with n states at rest, for linear analysis.
+
+    pull = k d + c v + b v' + C z + g u, and the rates of its states.
 
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
         gain: g, force per unit of the input; 0 without one.
         of_preload: part of k by a preload at a motion ratio over travel [N/m].
+        inertance: b [kg].
         of_states: C, shape (..., n); None for a part without states.
         rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
     """
@@ -54,6 +57,7 @@ class Line:
     damping: Number = 0.0
     gain: Number = 0.0
     of_preload: Number = 0.0
+    inertance: Number = 0.0
     of_states: Array | None = None
     rates: Array | None = None
 
@@ -64,10 +68,10 @@ class Line:
     @property
     def sloped(self) -> bool:
         """True if it pulls without an input."""
-        return self.of_states is not None or bool(self.stiffness or self.damping)
+        return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
-        """Returns the pull of the line [N], shape (...); without states given, these are 0."""
+        """Returns the pull of the line without its inertance [N], shape (...); without states given, these are 0."""
         total: Any = 0.0
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
             if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
@@ -105,7 +109,6 @@ class Part(ABC):
 
     states: ClassVar[tuple["Signal", ...]] = ()  # its own states, 0 at rest; the vehicle's signals have element and corner, too
     inputs: ClassVar[int] = 0
-    inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
@@ -131,22 +134,30 @@ class Part(ABC):
         """Returns the stored energy [J], shape (...)."""
         return np.zeros(np.shape(d))
 
+    def inertance_at(self, d: Array) -> Number:
+        """Returns b of a further force b v' [kg], shape () or (...); the kinetic energy of the part is b v^2 / 2."""
+        return 0.0
+
+    def centrifugal(self, d: Array, v: Array) -> Array | float:
+        """Returns the part of `pull` because b changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
+        return 0.0
+
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        n = len(self.states)
+        n, inertance = len(self.states), self.inertance_at(np.zeros(()))
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
         if not n:
-            return Line(*slopes)
+            return Line(*slopes, inertance=inertance)
         rows = STEP * 1j * np.eye(n + 3)  # over (z, d, v, u)
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
         rates = [np.imag(self.rate(*row[n : n + 2], row[:n], row[n + 2])) / STEP for row in rows]
-        return Line(*slopes, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
+        return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
+        """Returns the force beyond the line, without that of an inertance [N], shape (...). Arguments as for `pull`."""
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -422,6 +433,9 @@ class Straight(Part):
     def stored(self, d: Array, z: Any = None) -> Array:
         return self.at_rest.stiffness * np.square(d) / 2
 
+    def inertance_at(self, d: Array) -> Number:
+        return self.at_rest.inertance
+
     @cached_property
     def line(self) -> Line:
         return self.at_rest
@@ -461,6 +475,11 @@ class Stack:
         if not self._line:
             return self._rows(lambda part, *at: part.beyond(*at), d, v, z, u)
         return self._rows(lambda part, d, v, z, u: part.beyond(d, v, z, u) + part.line(d, v, 0.0, z), d, v, z, u)
+
+    def inertance(self, d: Array) -> Array:
+        """Returns the inertances beyond the line, or with those of the line [kg], shape (..., N, k)."""
+        least = 0.0 if self._line else 1.0
+        return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
         """Returns the rates of states, beyond the line unless it is added, for arrays (..., N, k) and states (..., N, k, n)."""

@@ -16,6 +16,7 @@ PARTS = {  # name -> module and class
     "actuator": "models.parts.actuator:Actuator",
     "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
     "maxwell": "models.parts.elements.maxwell:Maxwell",
+    "inerter": "models.parts.elements.inerter:Inerter",
 }
 
 

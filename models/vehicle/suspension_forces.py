@@ -22,7 +22,7 @@ class SuspensionForces:
         acts: True for each suspension that has a force beyond the linear model, shape (s,).
         states: number of the parts' own states, k, in the order of `VehicleKind.of_parts`.
         moves: True if a rate of these differs from that of the linear model.
-        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
+        inertial: True if a part has inertance beyond the linear model.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
@@ -36,7 +36,7 @@ class SuspensionForces:
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
-        self.acts, self.states, self.inertance = np.zeros(len(suspensions), dtype=bool), len(vehicles[0].kind.of_parts), None
+        self.acts, self.states, self.inertial = np.zeros(len(suspensions), dtype=bool), len(vehicles[0].kind.of_parts), False
         groups, self._stacks = list[list[int]](), list[tuple[Array | slice, Array | None, Array, Stack]]()
         for k, (place, _, line, _) in enumerate(rows[0]):
             self.acts[place] = True
@@ -55,9 +55,7 @@ class SuspensionForces:
             kept = np.array([rows[0][k][3] + i for k in some for i in range(len(part.states))], dtype=int)
             parts = [[row[k][1] for k in some] for row in rows]
             self._stacks.append((every, own, kept, Stack(parts, line)))
-            if part.inertance:
-                self.inertance = np.zeros((len(vehicles), len(suspensions))) if self.inertance is None else self.inertance
-                self.inertance[:, columns] += [[one.inertance for one in row] for row in parts]
+            self.inertial |= any(one.line.inertance and (line or one.bent) for row in parts for one in row)
 
     @property
     def moves(self) -> bool:
@@ -82,6 +80,13 @@ class SuspensionForces:
                 pulls = np.zeros(d.shape) if pulls is None else pulls
                 pulls[..., columns] += pull
         return np.zeros(d.shape) if pulls is None else pulls
+
+    def inertance(self, d: Array) -> Array:
+        """Returns the forces of inertial parts over the second derivatives of the deflections [kg], shape (..., N, s)."""
+        total = np.zeros(d.shape)
+        for columns, _, _, parts in self._stacks:
+            total[..., columns] += parts.inertance(d[..., columns])
+        return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
         """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""

@@ -205,6 +205,11 @@ class Vehicle(Shown):
         return parts_of(self)
 
     @property
+    def inertial(self) -> bool:
+        """True if a suspension has a force that depends on the second derivative of its deflection."""
+        return any(one.added.inertance for one in self.parts)
+
+    @property
     def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
@@ -216,25 +221,41 @@ class Vehicle(Shown):
     @cached_property
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
-        model = self.kind.model(self.parameters)
+        return self._with_lines(self.kind.model(self.parameters))
+
+    def _with_lines(self, model: LinearModel) -> LinearModel:
+        """Returns a linear model of the vehicle type with the lines of all parts."""
         more = [one for one in self.parts if one.added.sloped] if self.elements else []
         if not more:
             return model
         names, lines = [one.deflection for one in more], [one.added for one in more]
-        stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
+        slopes = ("stiffness", "damping", "inertance")
+        stiffness, damping, inertance = (np.array([getattr(line, name) for line in lines]) for name in slopes)
         from models.kinds.at_wheels import force_effects
         from models.parts.lines import with_own_states
 
         rows, effects = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
-        return with_own_states(model.with_lines(rows, *effects, stiffness, damping), more, rows, rows @ model.A, *effects)
+        speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
+        model = with_own_states(model.with_lines(rows, *effects, stiffness, damping), more, rows, speeds, *effects)
+        return model.with_inertance(np.pad(speeds, own[::-1]), *(np.pad(one, own) for one in effects), inertance)
 
     def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
-        """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e)."""
+        """Returns the effect of suspension forces that pull together on the states and outputs of its linear model.
+
+        Args:
+            deflections: signals of e suspensions.
+
+        Returns:
+            Effects per force, shapes (n, e) and (p, e): for inertial parts carry a share of the force.
+        """
         from models.kinds.at_wheels import force_effects
 
         push, shown = force_effects(self.kind, self.parameters, deflections)
-        own = ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
-        return np.pad(push, own), np.pad(shown, own)
+        if not self.elements:
+            return push, shown
+        names = tuple(f"pull_{i}" for i in range(len(deflections)))
+        model = self._with_lines(replace(self.kind.model(self.parameters), loads=names, Bl=push, Dl=shown))
+        return model.Bl, model.Dl
 
     @property
     def sensed(self) -> tuple[str, ...]:

@@ -169,8 +169,9 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
-        start += _stored(one, length.d, z)
-        end += _stored(one, length.after, None if z is None else z[1:])  # states do not jump with the road
+        start += _stored(one, length.d, z) + _kinetic(one, length.d, length.v)
+        # States do not jump with the road.
+        end += _stored(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
         lost += _lost(one, length, z)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
@@ -193,6 +194,11 @@ def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
     return one.part.stored_beyond(deflection, z) + one.added.stiffness * np.square(deflection) / 2
 
 
+def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | float:
+    """Returns the kinetic energy of a part [J], shape (...)."""
+    return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
+
+
 def _lost(one: "SuspensionPart", length: "_Length", z: Array | None) -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
@@ -205,8 +211,9 @@ def _lost(one: "SuspensionPart", length: "_Length", z: Array | None) -> Array | 
         (d, v), _, (after, w) = length.stages
         turned = length.h / 8 * (one.part.rate(d, v, z[:-1]) - one.part.rate(after, w, z[1:]))
         own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as the lengths
-    pulls = (one.part.beyond(d, v, z) + one.added(d, v, 0.0, z) for (d, v), z in zip(length.stages, own, strict=True))
-    taken = length.integral(v * pull for (_, v), pull in zip(length.stages, pulls, strict=True))
+    stages = [(d, v, z) for (d, v), z in zip(length.stages, own, strict=True)]
+    pulls = [one.part.beyond(d, v, z) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z in stages]
+    taken = length.integral(v * pull for (_, v, _), pull in zip(stages, pulls, strict=True))
     return taken - (_stored(one, length.after, own[2]) - _stored(one, length.d[:-1], own[0]))
 
 

@@ -118,7 +118,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 
     late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
+    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None])))) or (vehicle.inertial and bool(late.any()))
     linear = ~late
     rng = np.random.default_rng(0)
     for _ in range(3):  # a signal counts as linear if it is at a few states far from the axes

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.document.field import Field
 from models.kinds.signals import names_of
+from models.parts.part import STEP
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
 ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
@@ -200,8 +203,9 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     total, at, rate, forces = np.zeros_like(state), state, np.zeros_like(state), SuspensionForces([starts.vehicle])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at, seen = state + share * h * rate, list[tuple[Array, Array]]()
-        pulls = _pulls(forces, given, at[:, n:], seen)
-        rate[:, :n] = motion.rate(at[:, :n], starts.midway, _at_wheels(starts.vehicle, given), pulls, starts.loads)
+        acting = starts.midway, _at_wheels(starts.vehicle, given)
+        pulls = _pulls(motion, forces, given, at[:, n:], seen, at[:, :n], *acting, starts.loads)
+        rate[:, :n] = motion.rate(at[:, :n], *acting, pulls, starts.loads)
         if forces.states:
             rate[:, n:] = forces.rates(*seen[0], given, at[:, n:])
         total += weight * rate
@@ -209,14 +213,56 @@ def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     return np.concatenate([motion.read(end[:, :n], starts.heights[1:]), end[:, n:]], axis=1), starts.there
 
 
-def _pulls(forces: SuspensionForces, given: Array, own: Array, seen: list[tuple[Array, Array]]) -> "Pulls":
-    """Returns forces under given commands and own states of parts, which append the deflections and rates to a list."""
+def _pulls(
+    motion: "Motion",
+    forces: SuspensionForces,
+    given: Array,
+    own: Array,
+    seen: list[tuple[Array, Array]],
+    state: Array,
+    heights: Array,
+    inputs: Array,
+    loads: Array,
+) -> "Pulls":
+    """Returns the forces of suspensions for some states, with those of inertial parts.
+
+    Without inertial parts the rates of the deflections change by a; pulls p of theirs make this a + R p. So p = b (a + R p). A
+    complex step along a motion has the exact change of the rates of the deflections.
+
+    Args:
+        given: commands that act.
+        own: own states of parts.
+        seen: gets the deflections and their rates, in its first entry.
+        state, heights, inputs, loads: see `Motion.rate`.
+
+    Raises:
+        InputError: the equations of a custom vehicle type do not take complex states.
+    """
 
     def pulls(d: Array, v: Array) -> Array:
         seen.append((d, v))
         return forces(d, v, given, own)
 
-    return pulls
+    if not forces.inertial or not len(state):
+        return pulls
+
+    def along(d: Array, v: Array) -> Array:
+        seen.append((d, v))
+        return np.zeros(v.shape)
+
+    def change(more: Array | float) -> Array:
+        rates = motion.rate(state, heights, inputs, lambda d, v: pulls(d, v) + more, loads)
+        motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
+        if not np.iscomplexobj(seen[-1][1]):
+            raise InputError("motion of this vehicle type drops the imaginary part of states; an inerter needs it, so keep it")
+        return np.imag(seen[-1][1]) / STEP
+
+    free = change(0.0)
+    response = np.stack([(change(UNIT * one) - free) / UNIT for one in np.eye(free.shape[1])], axis=-1)
+    b = forces.inertance(seen[0][0])
+    held = np.eye(free.shape[1]) - b[..., None] * response
+    inertial = np.linalg.solve(held, (b * free)[..., None])[..., 0]
+    return lambda d, v: pulls(d, v) + inertial
 
 
 def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
@@ -224,8 +270,9 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
-    pulls = _pulls(forces, given, starts.own, seen)
-    shown = dict(motion.outputs(starts.state, starts.heights[:-1], _at_wheels(vehicle, given), pulls, loads))
+    at = starts.state, starts.heights[:-1], _at_wheels(vehicle, given)
+    pulls = _pulls(motion, forces, given, starts.own, seen, *at, loads)
+    shown = dict(motion.outputs(*at, pulls, loads))
     travels, speeds = seen[0]
     for part, v in zip(kind.suspensions, speeds.T, strict=True):
         shown.setdefault(part.velocity.name, v)
