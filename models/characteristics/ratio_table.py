@@ -97,6 +97,10 @@ class RatioTable:
         turned = slope * s
         return ratio + turned, travel + s * (ratio + turned / 2)
 
+    def slope(self, deflection: Array) -> Array:
+        """Returns r' at deflections [1/m], shape (...); at a point of the table that below the point."""
+        return self._segments[3][self.x.searchsorted(deflection)]
+
     def travel(self, deflection: Array) -> Array:
         """Returns D [m] at deflections [m], shape (...)."""
         return self.ratio_and_travel(deflection)[1]

@@ -307,6 +307,8 @@ class VehicleKind(Checked):
             in the kind of a vehicle that has some.
         people: accelerations [m/s2] of the points with a person, the most important one first. None: those of masses above the
             body, if it has some; empty for none.
+        of_parts: signals of the own states of force elements, without sensors, among the signals; only in the kind of a vehicle
+            that has some.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -332,6 +334,7 @@ class VehicleKind(Checked):
     ratios: Mapping[str, Any] = field(default_factory=dict)
     people: tuple[str, ...] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
+    of_parts: tuple[Signal, ...] = ()
 
     def __repr__(self) -> str:
         """Returns its name and how much it has."""
@@ -354,6 +357,21 @@ class VehicleKind(Checked):
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
+
+    def with_states(self, of_parts: tuple[Signal, ...]) -> "VehicleKind":
+        """Returns the kind with signals of the own states of force elements, instead of those that it has.
+
+        Raises:
+            InputError: another signal has the name of such a signal.
+        """
+        others = tuple(signal for signal in self.signals if signal not in self.of_parts)
+        taken = [*names_of(others), *(name for name in self.possible if name not in names_of(self.signals))]
+        for i, one in enumerate(names_of(of_parts)):
+            if one in taken or one in names_of(of_parts)[:i]:
+                raise InputError(
+                    f"[parts] an element has the state {one!r}, which is the name of another signal; rename the section"
+                )
+        return self if of_parts == self.of_parts else replace(self, signals=(*others, *of_parts), of_parts=of_parts)
 
     @cached_property
     def possible(self) -> dict[str, Signal]:

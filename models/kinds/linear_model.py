@@ -176,22 +176,30 @@ class LinearModel:
         """
         if not integrals:
             return self
-        k, n = len(integrals), len(self.A)
         mix = np.array([[terms.get(name, 0.0) for name in self.outputs] for terms in integrals.values()])
-        Bw, states = mix @ self.Dw, np.zeros((n, k))
-        more = {name: np.zeros((k, getattr(self, name).shape[1])) for name in ("D", "Cr", "Dl", "Dw")}
+        Bw = mix @ self.Dw
+        of_sums = {"B": mix @ self.D, "Bw": Bw, "Bt": Bw, "Br": mix @ self.Cr, "Bl": mix @ self.Dl}
+        return self.with_states(tuple(integrals), mix @ self.C, of_sums)
+
+    def with_states(self, names: tuple[str, ...], rates: Array, more: Mapping[str, Array] | None = None) -> "LinearModel":
+        """Returns the model with k further states, each an output of its name.
+
+        Args:
+            names: names of the states.
+            rates: gains from the states of this model to their rates, shape (k, n), or from all states, shape (k, n + k).
+            more: rows of B, Bw, Bt, Br and Bl for their rates; zero by default.
+        """
+        k, n = len(names), len(self.A)
+        rows = {
+            name: np.zeros((k, getattr(self, name).shape[1])) for name in ("B", "Bw", "Bt", "Br", "Bl", "D", "Cr", "Dl", "Dw")
+        }
         return replace(
             self,
-            A=np.block([[self.A, states], [mix @ self.C, np.zeros((k, k))]]),
-            B=np.vstack([self.B, mix @ self.D]),
-            Bw=np.vstack([self.Bw, Bw]),
-            Bt=np.vstack([self.Bt, Bw]),
-            Br=np.vstack([self.Br, mix @ self.Cr]),
-            Bl=np.vstack([self.Bl, mix @ self.Dl]),
-            C=np.block([[self.C, np.zeros((len(self.C), k))], [states.T, np.eye(k)]]),
-            states=(*self.states, *integrals),
-            outputs=(*self.outputs, *integrals),
-            **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
+            A=np.block([[self.A, np.zeros((n, k))], [np.pad(rates, ((0, 0), (0, n + k - rates.shape[1])))]]),
+            C=np.block([[self.C, np.zeros((len(self.C), k))], [np.zeros((k, n)), np.eye(k)]]),
+            states=(*self.states, *names),
+            outputs=(*self.outputs, *names),
+            **{name: np.vstack([getattr(self, name), one]) for name, one in {**rows, **(more or {})}.items()},
         )
 
     def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
@@ -204,6 +212,27 @@ class LinearModel:
         """
         force = stiffness[:, None] * rows + damping[:, None] * (rows @ self.A)
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
+
+    def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
+        """Returns the model with inerters along e lengths, f = b d'', in parallel to all its forces.
+
+        With d' = S x and the effect E of the forces, a force p = b S (x' + E p) of inerters is (1 - b S E)^-1 b S x', where x' is
+        the rate without inerters.
+
+        Args:
+            speeds: S, shape (e, n).
+            push, shown: effect of forces that pull along them on x' (E) and on the outputs, shapes (n, e) and (p, e).
+            inertance: b [kg], shape (e,).
+        """
+        if not inertance.any():
+            return self
+        b = np.diag(inertance)
+        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per x'
+        moved: dict[str, Array] = {}
+        for acting, direct in (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw")):
+            pull = of_rates @ getattr(self, acting)
+            moved[acting], moved[direct] = getattr(self, acting) + push @ pull, getattr(self, direct) + shown @ pull
+        return replace(self, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
 
     def geared(self, ratios: Array) -> "LinearModel":
         """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""

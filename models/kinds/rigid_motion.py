@@ -252,7 +252,9 @@ class RigidMotion:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
         # Of a strut that leans by little, the difference of two lengths would lose what this keeps.
-        d = np.where(height > 0, (along**2 + across**2) / (length + np.abs(height)), length - height) + rise
+        upright = height > 0
+        far = length + np.where(upright, height, -height)
+        d = np.where(upright, (along**2 + across**2) / far, length - height) + rise
         return d, (by_q * rates[:, None]).sum(axis=-1) - J[0] * hub_rates, by_q, J[0]
 
 

@@ -10,7 +10,9 @@ from typing import Annotated, Any
 from models.characteristics.stops import holds, places_of
 from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.schema import SI, Listed, Section, Text, keys, read
-from models.parts.part import Part, Straight
+from models.kinds.kind import Suspension
+from models.kinds.signals import Signal
+from models.parts.part import Part, Straight, state_signals
 from models.parts.registry import PARTS, part_class
 
 
@@ -38,13 +40,14 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The element with its line alone; itself if it is a contact."""
-        return self if self.part.contact else replace(self, part=Straight(self.part.line))
+        """The element with its line alone; itself if it is a contact, or has nothing beyond its line."""
+        part = self.part
+        return self if part.contact or not part.bent else replace(self, part=Straight(part.line, part.states))
 
     def with_slope(self, slope: float, damps: bool) -> "Element":
         """Returns the element with another slope of its line [N s/m or N/m], over velocity or over deflection."""
         line = replace(self.part.line, damping=slope) if damps else replace(self.part.line, stiffness=slope)
-        return replace(self, part=Straight(line))
+        return replace(self, part=Straight(line, self.part.states))
 
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
@@ -59,6 +62,12 @@ class Element:
         """Returns the element with other numbers, by `NAME.key`; itself if none is its own."""
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
+
+
+def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) -> tuple[Signal, ...]:
+    """Returns the signals of the elements' own states, suspension by suspension, as a vehicle has its parts."""
+    here = [(one, place) for place in suspensions for one in elements if place.corner in one.corners]
+    return tuple(signal for one, place in here for signal in state_signals(one.part, one.name, place))
 
 
 def element_kinds() -> dict[str, type[Section]]:

@@ -1,10 +1,15 @@
-"""Keys and words of the curves of parts."""
+"""Lines of parts at rest: keys and words of curves, and own states in linear models."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from models.characteristics.curve_reading import Argument
+from models.common.arrays import Array
 from models.common.printed import rough
 from models.kinds.kind import Suspension
+from models.kinds.linear_model import LinearModel
 from models.parts.part import SuspensionPart
 from models.parts.registry import PARTS, part_class
 
@@ -32,3 +37,36 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
         f"{name} {rough(at)} (slope of the whole curve: {rough(low)} to {rough(high)})"
         for name, (at, low, high) in slopes.items()
     )
+
+
+def with_own_states(
+    model: LinearModel, parts: Sequence[SuspensionPart], rows: Array, speeds: Array, push: Array, shown: Array
+) -> LinearModel:
+    """Returns a linear model of n states with the own states of e parts, by their lines at rest.
+
+    Args:
+        rows, speeds: gains from the states to the deflections of the parts' suspensions and to the rates of these, shape (e, n).
+        push, shown: effect of forces that pull along them on x' and on the outputs, shapes (n, e) and (p, e).
+    """
+    names = tuple(signal.name for one in parts for signal in one.states)
+    if not names:
+        return model
+    n, end = len(model.A), 0
+    rates, B, pulls = (
+        np.zeros((len(names), n + len(names))),
+        np.zeros((len(names), len(model.inputs))),
+        np.zeros((len(parts), len(names))),
+    )
+    for i, one in enumerate(parts):
+        line, own, end = one.part.line, slice(end, end + len(one.states)), end + len(one.states)
+        if line.of_states is None or line.rates is None:
+            continue
+        of_states, of_travel, of_speed, of_input = np.split(line.rates, np.arange(3) + len(one.states), axis=1)
+        rates[own, :n], rates[own, n:][:, own] = of_travel * rows[i] + of_speed * speeds[i], of_states
+        if one.part.inputs:
+            B[own, [model.inputs.index(one.place.force)]] = of_input
+        pulls[i, own] = line.of_states
+    with_them = model.with_states(names, rates, {"B": B})
+    A, C = np.array(with_them.A), np.array(with_them.C)
+    A[:n, n:], C[: len(model.C), n:] = push @ pulls, shown @ pulls
+    return replace(with_them, A=A, C=C)

@@ -3,7 +3,7 @@
 A part pulls the ends of its suspension together with F(d, v, z, u): d is the extension from rest and v its rate, both positive
 where the suspension stretches; z are states of the part's own, and u its inputs. Linear analysis has its line at rest,
 
-    F = k d + c v + b v' + g u,
+    F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder and a line in
 `models.parts.registry.PARTS`.
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from models.characteristics.curve_reading import Argument
     from models.characteristics.surface import ForceSurface
     from models.kinds.kind import Suspension
+    from models.kinds.signals import Signal
     from models.parts.native import Tendon
 
 Number = float | Array  # an array of shape (N,) for N runs side by side
@@ -36,34 +37,51 @@ SMALL, KINKED = 1e-6, 1e-3  # m or m/s, a motion about rest; share of the force 
 CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Line:
-    """Line of a part at rest, for linear analysis: pull = k d + c v + g u.
+    """Line of a part with n states at rest, for linear analysis.
+
+    pull = k d + c v + b v' + C z + g u, and the rates of its states.
 
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
         gain: g, force per unit of the input; 0 without one.
         of_preload: part of k by a preload at a motion ratio over travel [N/m].
+        inertance: b [kg].
+        of_states: C, shape (..., n); None for a part without states.
+        rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
     """
 
     stiffness: Number = 0.0
     damping: Number = 0.0
     gain: Number = 0.0
     of_preload: Number = 0.0
+    inertance: Number = 0.0
+    of_states: Array | None = None
+    rates: Array | None = None
+
+    def __eq__(self, other: object) -> bool:
+        names = [one.name for one in fields(self)]
+        return isinstance(other, Line) and all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
 
     @property
     def sloped(self) -> bool:
         """True if it pulls without an input."""
-        return bool(self.stiffness or self.damping)
+        return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
-    def __call__(self, d: Array, v: Array, u: Array | float = 0.0) -> Array:
-        """Returns the pull of the line [N], shape (...)."""
+    def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
+        """Returns the pull of the line without its inertance [N], shape (...); without states given, these are 0."""
         total: Any = 0.0
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
             if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
                 total = total + slope * x
-        return total
+        return total if z is None or self.of_states is None else total + (self.of_states * z).sum(axis=-1)
+
+    def rate(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
+        """Returns the rates of the states by the line, shape (..., n)."""
+        assert self.rates is not None, "a part with states"
+        return np.matvec(self.rates, np.concatenate([z, np.stack(np.broadcast_arrays(d, v, u), axis=-1)], axis=-1))
 
 
 @dataclass(frozen=True)
@@ -89,9 +107,8 @@ class Part(ABC):
     A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N runs side by side (`stacked`).
     """
 
-    states: ClassVar[int] = 0
+    states: ClassVar[tuple["Signal", ...]] = ()  # its own states, 0 at rest; the vehicle's signals have element and corner, too
     inputs: ClassVar[int] = 0
-    inertance: ClassVar[float] = 0.0  # b of a force b d'' beside `pull` [kg]
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
@@ -105,29 +122,47 @@ class Part(ABC):
 
         Args:
             d, v: extension of the suspension [m] and its rate [m/s], shape (...).
-            z: states, shape (..., states).
+            z: its n states, shape (..., n).
             u: input, shape (...).
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of its states, shape (..., states). Arguments as for `pull`."""
+        """Returns the rates of its states, shape (..., n). Arguments as for `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def stored(self, d: Array, z: Any = None) -> Array:
         """Returns the stored energy [J], shape (...)."""
         return np.zeros(np.shape(d))
 
+    def inertance_at(self, d: Array) -> Number:
+        """Returns b of a further force b v' [kg], shape () or (...); the kinetic energy of the part is b v^2 / 2."""
+        return 0.0
+
+    def centrifugal(self, d: Array, v: Array) -> Array | float:
+        """Returns the part of `pull` because b changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
+        return 0.0
+
     @cached_property
     def line(self) -> Line:
         """Derivative at rest, by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
-        slopes: Any = (np.imag(self.pull(d, v, np.zeros(self.states), u)) / STEP for d, v, u in along)
-        return Line(*slopes)
+        n, inertance = len(self.states), self.inertance_at(np.zeros(()))
+        slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
+        if not n:
+            return Line(*slopes, inertance=inertance)
+        rows = STEP * 1j * np.eye(n + 3)  # over (z, d, v, u)
+        pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
+        rates = [np.imag(self.rate(*row[n : n + 2], row[:n], row[n + 2])) / STEP for row in rows]
+        return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the force beyond the line [N], shape (...). Arguments as for `pull`."""
-        return self.pull(d, v, z, u) - self.line(d, v, u)
+        """Returns the force beyond the line, without that of an inertance [N], shape (...). Arguments as for `pull`."""
+        return self.pull(d, v, z, u) - self.line(d, v, u, z)
+
+    def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """Returns the rates of its states beyond those of the line, shape (..., n). Arguments as for `pull`."""
+        return self.rate(d, v, z, u) - self.line.rate(d, v, z, u)
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
         """Returns the stored energy without that of the line [J], shape (...)."""
@@ -152,8 +187,9 @@ class Part(ABC):
     def kinked_at_rest(self) -> bool:
         """True if no motion is small enough for the line."""
         d, v = SMALL * np.array([[1, -1, 0, 0], [0, 0, 1, -1]])
-        at = d, v, np.zeros((4, self.states))
-        return bool(np.any(np.abs(self.beyond(*at)) > KINKED * np.abs(self.pull(*at))))
+        at = d, v, np.zeros((4, len(self.states)))
+        bent = bool(np.any(np.abs(self.beyond(*at)) > KINKED * np.abs(self.pull(*at))))
+        return bent or (bool(self.states) and bool(np.any(np.abs(self.rate_beyond(*at)) > KINKED * np.abs(self.rate(*at)))))
 
     def limits(self) -> Sequence[Limit]:
         """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""
@@ -239,6 +275,11 @@ class SuspensionPart:
         """Its line beyond the vehicle's own springs and dampers, which have that of a parameter."""
         return Line() if self.parameter else self.part.line
 
+    @cached_property
+    def states(self) -> "tuple[Signal, ...]":
+        """Signals of its own states."""
+        return state_signals(self.part, self.element, self.place)
+
     @property
     def native(self) -> bool:
         """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
@@ -271,6 +312,15 @@ class SuspensionPart:
         from models.characteristics.surface import ForceSurface
 
         return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
+
+
+def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":
+    """Returns the signals of a part's own states, as an element of a suspension."""
+    signals = (
+        replace(one, name=f"{element}_{one.name}", symbol=f"{one.symbol} {element}", meaning=f"{one.meaning}, {element}")
+        for one in part.states
+    )
+    return tuple(one.at(place.corner) if place.corner else one for one in signals)
 
 
 @dataclass(frozen=True)
@@ -364,15 +414,27 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Line of another part."""
+    """Line of another part, with signals of that part's own states."""
 
     at_rest: Line
+    own: "tuple[Signal, ...]" = ()
+
+    @property
+    def states(self) -> "tuple[Signal, ...]":  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.states`."""
+        return self.own
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        return self.at_rest(d, v, u)
+        return self.at_rest(d, v, u, z)
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return self.at_rest.rate(d, v, z, u) if self.own else super().rate(d, v)
 
     def stored(self, d: Array, z: Any = None) -> Array:
         return self.at_rest.stiffness * np.square(d) / 2
+
+    def inertance_at(self, d: Array) -> Number:
+        return self.at_rest.inertance
 
     @cached_property
     def line(self) -> Line:
@@ -410,11 +472,18 @@ class Stack:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
         if len(self._groups) == 1 and not self._line:  # in each stage of a step
             return self._groups[0][0].beyond(d, v, z, u)
-        return self._rows(lambda part, *at: part.beyond(*at) + part.line(*at[:2]) if self._line else part.beyond(*at), d, v, z, u)
+        if not self._line:
+            return self._rows(lambda part, *at: part.beyond(*at), d, v, z, u)
+        return self._rows(lambda part, d, v, z, u: part.beyond(d, v, z, u) + part.line(d, v, 0.0, z), d, v, z, u)
+
+    def inertance(self, d: Array) -> Array:
+        """Returns the inertances beyond the line, or with those of the line [kg], shape (..., N, k)."""
+        least = 0.0 if self._line else 1.0
+        return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
-        """See `Part.rate`, for arrays of shape (..., N, k) and states of shape (..., N, k, states)."""
-        return self._rows(lambda part, *at: part.rate(*at), d, v, z, u, z.shape)
+        """Returns the rates of states, beyond the line unless it is added, for arrays (..., N, k) and states (..., N, k, n)."""
+        return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
     def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
         """Returns a function of part, d, v, z and u for the rows of each group."""

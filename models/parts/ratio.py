@@ -4,7 +4,8 @@ With the ratio r(d), the part's own travel D, which is the integral of r from re
 
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
-Where r' differs on both sides of rest, the line has its mean.
+Where r' differs on both sides of rest, the line has its mean. The force b (r v' + r' v^2) of an inertial part in its own travel
+is r^2 b v' + b r r' v^2 at the wheel.
 """
 
 import functools
@@ -19,7 +20,7 @@ from models.characteristics.curve import ForceCurve
 from models.characteristics.ratio_table import PLACES, RatioTable
 from models.common.arrays import Array
 from models.parts.native import Tendon
-from models.parts.part import CURVE, Limit, Line, Part
+from models.parts.part import CURVE, Limit, Line, Number, Part
 
 FINE = 801  # points of a spring's curve over travel
 
@@ -39,6 +40,9 @@ class Constant:
 
     def deflection(self, travel: Array) -> Array:
         return travel
+
+    def slope(self, deflection: Array) -> float:
+        return 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,22 @@ class AtRatio(Part):
         else:
             r = self.scale * ratio
             pull = r * self.part.pull(self.scale * travel, r * v, z, u)
+        pull = pull + self.centrifugal(d, v) if self._inertial else pull
         return pull - (ratio * self._lift - self.load) if self._loaded else pull
+
+    def inertance_at(self, d: Array) -> Number:
+        ratio, travel = self.table.ratio_and_travel(d)
+        return (self.scale * ratio) ** 2 * self.part.inertance_at(self.scale * travel)
+
+    def centrifugal(self, d: Array, v: Array) -> Array | float:
+        ratio, travel = self.table.ratio_and_travel(d)
+        r, slope = self.scale * ratio, self.scale * self.table.slope(d)
+        b, own = self.part.inertance_at(self.scale * travel), self.part.centrifugal(self.scale * travel, r * v)
+        return r * (b * slope * np.square(v) + own)
+
+    @cached_property
+    def _inertial(self) -> bool:
+        return isinstance(self.table, RatioTable) and bool(np.any(self.line.inertance))
 
     @cached_property
     def _scaled(self) -> bool:
@@ -94,7 +113,13 @@ class AtRatio(Part):
     def line(self) -> Line:
         own, r = self.part.line, self.scale * self.table.at_rest
         of_preload = -self.table.turn * self.load
-        return Line(r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload)
+        slopes = r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload, r**2 * own.inertance
+        if own.of_states is None or own.rates is None:
+            return Line(*slopes)
+        of_travel = np.ones(own.rates.shape[-1])
+        of_travel[-3:-1] = 0.0
+        factors = of_travel + np.asarray(r)[..., None] * (1 - of_travel)
+        return Line(*slopes, np.asarray(r)[..., None] * own.of_states, factors[..., None, :] * own.rates)
 
     @property
     def bent(self) -> bool:
@@ -163,10 +188,13 @@ class Sum(Part):
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.first.pull(d, v, z, u) + self.second.pull(d, v, z, u)
 
+    def inertance_at(self, d: Array) -> Number:
+        return self.first.inertance_at(d) + self.second.inertance_at(d)
+
     @cached_property
     def line(self) -> Line:
         one, other = self.first.line, self.second.line
-        return Line(*(getattr(one, name) + getattr(other, name) for name in ("stiffness", "damping", "gain")))
+        return Line(**{name: getattr(one, name) + getattr(other, name) for name in ("stiffness", "damping", "gain", "inertance")})
 
 
 def together(parts: Sequence[Part]) -> Part | None:

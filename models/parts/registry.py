@@ -16,6 +16,8 @@ PARTS = {  # name -> module and class
     "actuator": "models.parts.actuator:Actuator",
     "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
     "gas_spring": "models.parts.elements.gas_spring:GasSpring",
+    "maxwell": "models.parts.elements.maxwell:Maxwell",
+    "inerter": "models.parts.elements.inerter:Inerter",
 }
 
 

@@ -20,8 +20,9 @@ class SuspensionForces:
 
     Attributes:
         acts: True for each suspension that has a force beyond the linear model, shape (s,).
-        states: number of the parts' own states, k.
-        inertance: force of inertial parts over the second derivative of the deflection [kg], shape (N, s); None without any.
+        states: number of the parts' own states, k, in the order of `VehicleKind.of_parts`.
+        moves: True if a rate of these differs from that of the linear model.
+        inertial: True if a part has inertance beyond the linear model.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
@@ -31,12 +32,13 @@ class SuspensionForces:
             by_motor: True for parts alone that have no form native to MuJoCo.
             contacts: False leaves out parts without effect before an end of the linear regime.
             whole: True adds the lines of elements of `[parts]`, which are in linear models, but not in the kinds' equations.
+                Rates of states, too, are then whole, and otherwise those beyond the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
-        self.acts, self.states, self.inertance = np.zeros(len(suspensions), dtype=bool), 0, None
-        groups, self._stacks = list[list[int]](), list[tuple[Array | slice, Array | None, slice, Stack]]()
-        for k, (place, _, line) in enumerate(rows[0]):
+        self.acts, self.states, self.inertial = np.zeros(len(suspensions), dtype=bool), len(vehicles[0].kind.of_parts), False
+        groups, self._stacks = list[list[int]](), list[tuple[Array | slice, Array | None, Array, Stack]]()
+        for k, (place, _, line, _) in enumerate(rows[0]):
             self.acts[place] = True
             for some in groups:
                 its_line = rows[0][some[0]][2]
@@ -47,16 +49,18 @@ class SuspensionForces:
             else:
                 groups.append([k])
         for some in groups:
-            columns, (_, part, line) = np.array([rows[0][k][0] for k in some]), rows[0][some[0]]
+            columns, (_, part, line, _) = np.array([rows[0][k][0] for k in some]), rows[0][some[0]]
             own = np.array([inputs.index(suspensions[i].force) for i in columns]) if part.inputs else None
             every = slice(None) if np.array_equal(columns, np.arange(len(suspensions))) else columns
-            kept = slice(self.states, self.states + len(some) * part.states)
+            kept = np.array([rows[0][k][3] + i for k in some for i in range(len(part.states))], dtype=int)
             parts = [[row[k][1] for k in some] for row in rows]
-            self.states = kept.stop
             self._stacks.append((every, own, kept, Stack(parts, line)))
-            if part.inertance:
-                self.inertance = np.zeros((len(vehicles), len(suspensions))) if self.inertance is None else self.inertance
-                self.inertance[:, columns] += [[one.inertance for one in row] for row in parts]
+            self.inertial |= any(one.line.inertance and (line or one.bent) for row in parts for one in row)
+
+    @property
+    def moves(self) -> bool:
+        """See the attributes."""
+        return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
         """Returns the forces without those of inertial parts [N], shape (..., N, s).
@@ -77,37 +81,48 @@ class SuspensionForces:
                 pulls[..., columns] += pull
         return np.zeros(d.shape) if pulls is None else pulls
 
+    def inertance(self, d: Array) -> Array:
+        """Returns the forces of inertial parts over the second derivatives of the deflections [kg], shape (..., N, s)."""
+        total = np.zeros(d.shape)
+        for columns, _, _, parts in self._stacks:
+            total[..., columns] += parts.inertance(d[..., columns])
+        return total
+
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
         """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""
-        rates = np.empty(z.shape)
-        for _, kept, parts, at in self._at(d, v, inputs, z):
-            if kept.stop > kept.start:
+        rates = np.zeros(z.shape)
+        for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
+            if len(kept):
                 rates[..., kept] = parts.rate(*at).reshape(*z.shape[:-1], -1)
         return rates
 
-    def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, slice, Stack, Any]]:
+    def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
         """Yields parts that are evaluated together, with their suspensions and states, and what they take."""
         for columns, own, kept, parts in self._stacks:
             states = None
-            if z is not None and kept.stop > kept.start:
+            if z is not None and len(kept):
                 states = z[..., kept].reshape(*z.shape[:-1], parts.columns, -1)
             yield columns, kept, parts, (d[..., columns], v[..., columns], states, 0.0 if own is None else inputs[..., own])
 
 
-def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool]]:
-    """Returns the parts of a vehicle with the number of their suspension, and True for those with the force of their line."""
-    forces = list[tuple[int, Part, bool]]()
+def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
+    """Returns the parts of a vehicle with the number of their suspension, True for those with the force of their line, and the
+    number of their first state.
+    """
+    forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:
         return forces
     from models.parts.ratio import together
 
+    starts = np.cumsum([0, *(len(one.part.states) for one in vehicle.parts)]).tolist()
+    first = {id(one): start for one, start in zip(vehicle.parts, starts, strict=False)}
     for i, place in enumerate(vehicle.kind.suspensions):
         here = [one for one in vehicle.parts if one.deflection == place.deflection and (contacts or not one.part.contact)]
         acting = [one for one in here if (one.acts if whole else one.part.acts) and not (by_motor and one.native)]
-        own = [one.part for one in acting if not (whole and one.element)]
-        joined = together(own) if len(own) > 1 else None
-        forces += [(i, part, False) for part in (own if joined is None else [joined])]
-        forces += [(i, one.part, True) for one in acting if whole and one.element]
+        own = [one for one in acting if not (whole and one.element)]
+        joined = together([one.part for one in own]) if len(own) > 1 else None
+        forces += [(i, one.part, False, first[id(one)]) for one in own] if joined is None else [(i, joined, False, 0)]
+        forces += [(i, one.part, True, first[id(one)]) for one in acting if whole and one.element]
     return forces
 
 

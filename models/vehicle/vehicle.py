@@ -21,7 +21,7 @@ from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import of_dampers
+from models.kinds.signals import names_of, of_dampers
 from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
@@ -157,6 +157,10 @@ class Vehicle(Shown):
         for name in ("parameters", "performance", "controllers"):
             object.__setattr__(self, name, ReadOnly(getattr(self, name)))
         self.kind.check_each(self.parameters)
+        if self.elements or self.kind.of_parts:
+            from models.parts.element import states_of
+
+            object.__setattr__(self, "kind", self.kind.with_states(states_of(self.elements, self.kind.suspensions)))
         names = {*self.performance}.union(*(one.terms for one in self.sums))
         object.__setattr__(self, "kind", self.kind.naming(names).carrying(self.parameters))
         for name, weight in self.performance.items():
@@ -201,6 +205,11 @@ class Vehicle(Shown):
         return parts_of(self)
 
     @property
+    def inertial(self) -> bool:
+        """True if a suspension has a force that depends on the second derivative of its deflection."""
+        return any(one.added.inertance for one in self.parts)
+
+    @property
     def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
@@ -212,15 +221,47 @@ class Vehicle(Shown):
     @cached_property
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters, with the lines of all parts."""
-        model = self.kind.model(self.parameters)
+        return self._with_lines(self.kind.model(self.parameters))
+
+    def _with_lines(self, model: LinearModel) -> LinearModel:
+        """Returns a linear model of the vehicle type with the lines of all parts."""
         more = [one for one in self.parts if one.added.sloped] if self.elements else []
         if not more:
             return model
         names, lines = [one.deflection for one in more], [one.added for one in more]
-        stiffness, damping = (np.array([getattr(line, name) for line in lines]) for name in ("stiffness", "damping"))
+        slopes = ("stiffness", "damping", "inertance")
+        stiffness, damping, inertance = (np.array([getattr(line, name) for line in lines]) for name in slopes)
+        from models.kinds.at_wheels import force_effects
+        from models.parts.lines import with_own_states
+
+        rows, effects = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
+        speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
+        model = with_own_states(model.with_lines(rows, *effects, stiffness, damping), more, rows, speeds, *effects)
+        return model.with_inertance(np.pad(speeds, own[::-1]), *(np.pad(one, own) for one in effects), inertance)
+
+    def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
+        """Returns the effect of suspension forces that pull together on the states and outputs of its linear model.
+
+        Args:
+            deflections: signals of e suspensions.
+
+        Returns:
+            Effects per force, shapes (n, e) and (p, e): for inertial parts carry a share of the force.
+        """
         from models.kinds.at_wheels import force_effects
 
-        return model.with_lines(model.rows(names)[0], *force_effects(self.kind, self.parameters, names), stiffness, damping)
+        push, shown = force_effects(self.kind, self.parameters, deflections)
+        if not self.elements:
+            return push, shown
+        names = tuple(f"pull_{i}" for i in range(len(deflections)))
+        model = self._with_lines(replace(self.kind.model(self.parameters), loads=names, Bl=push, Dl=shown))
+        return model.Bl, model.Dl
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """Output signals of the linear model for which MuJoCo has sensors: all but the own states of parts."""
+        outputs = self.linear_model.outputs
+        return outputs[: len(outputs) - len(self.kind.of_parts)]
 
     @cached_property
     def ride_points(self) -> RidePoints:
@@ -442,7 +483,7 @@ class Vehicle(Shown):
             InputError: the parts are not a vehicle together, or do not fit its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
-        outputs = self.kind.whole_model(parameters).outputs
+        outputs = (*self.kind.whole_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)
         filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
         sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
@@ -561,16 +602,19 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
         parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
     model = vehicle_kind.whole_model(parameters)
+    elements = ()
+    if given.parts:
+        from models.parts.element import read_elements, states_of
+
+        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
+        if states := states_of(elements, vehicle_kind.suspensions):
+            vehicle_kind = vehicle_kind.with_states(states)
+            model = model.with_states(names_of(states), np.zeros((len(states), len(model.A))))
     implementation, sampled, corners = Implementation(), False, vehicle_kind.corners
     if given.implementation:
         units = {name: vehicle_kind.possible[name].unit for name in model.measurable}
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
         implementation, sampled = section.implementation, section.sampled
-    elements = ()
-    if given.parts:
-        from models.parts.element import read_elements
-
-        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
     dampers = dict[str, "Damper"]()
     if given.actuators:
         from models.characteristics.adjustable_range import read_actuators

@@ -1,12 +1,14 @@
 """Equations of motion of a linear vehicle with the nonlinear forces of its suspensions."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.at_wheels import force_effects, wheel_model
+from models.kinds.linear_model import LinearModel
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle
 
@@ -14,10 +16,15 @@ if TYPE_CHECKING:
     from models.kinds.motion import Pulls
 
 
-def suspensions_of(vehicle: Vehicle, acts: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns the suspensions of a vehicle on its linear model; rows and columns of those without forces are 0.
+Effects = Callable[[Sequence[str]], tuple[Array, Array]]
+
+
+def suspensions_of(vehicle: Vehicle, model: LinearModel, effects: Effects, acts: Array) -> tuple[Array, Array, Array, Array]:
+    """Returns the suspensions of a vehicle on a linear model of it; rows and columns of those without forces are 0.
 
     Args:
+        model: the vehicle's linear model, or that at its wheels, which does not have the own states of parts.
+        effects: see `Vehicle.force_effects`, for this linear model.
         acts: True for each suspension with forces beyond the linear model.
 
     Returns:
@@ -28,7 +35,7 @@ def suspensions_of(vehicle: Vehicle, acts: Array) -> tuple[Array, Array, Array, 
     Raises:
         ValueError: the effect of forces along a suspension is unknown.
     """
-    model, parts = vehicle.linear_model, vehicle.kind.suspensions
+    parts = vehicle.kind.suspensions
     count = len(parts)
     rows, of_road = np.zeros((2 * count, len(model.A))), np.zeros((2 * count, model.Br.shape[1]))
     push, shown = np.zeros((len(model.A), count)), np.zeros((len(model.C), count))
@@ -42,7 +49,7 @@ def suspensions_of(vehicle: Vehicle, acts: Array) -> tuple[Array, Array, Array, 
         if velocity in model.outputs:
             speed = model.outputs.index(velocity)
             rows[count + i], of_road[count + i] = model.C[speed], model.Cr[speed]
-        push[:, [i]], shown[:, [i]] = force_effects(vehicle.kind, vehicle.parameters, [part.deflection])
+        push[:, [i]], shown[:, [i]] = effects([part.deflection])
     return rows, of_road, push, shown
 
 
@@ -55,12 +62,14 @@ class LinearMotion:
         Raises:
             ValueError: a suspension with such forces is not a state of the linear model, or its effect is unknown.
         """
-        self.model, self.names = wheel_model(vehicle.kind, vehicle.parameters), vehicle.linear_model.states
+        self.model = wheel_model(vehicle.kind, vehicle.parameters)
+        self.names = self.model.states
         self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
         acts = SuspensionForces([vehicle]).acts
         if any(one.deflection not in self.names for one, act in zip(vehicle.kind.suspensions, acts, strict=True) if act):
             raise ValueError("forces act along a deflection that is not a state")
-        self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, acts)
+        effects = partial(force_effects, vehicle.kind, vehicle.parameters)
+        self._rows, self._of_heights, self._push, self._shown = suspensions_of(vehicle, self.model, effects, acts)
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """See `Motion`. The state is the part of the linear model's state that does not jump with the road."""

@@ -90,7 +90,9 @@ def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
     """Returns the fastest rate [rad/s], and the effect of rounding on every state, shape (n,)."""
     model, kind = vehicle.linear_model, vehicle.kind
     rate = float(np.abs(np.linalg.eigvals(model.A)).max())
-    return rate, np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states])
+    n = len(model.states) - len(kind.of_parts)
+    shaken = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states[:n]])
+    return rate, np.concatenate([shaken, np.abs(model.A[n:, :n]) @ shaken / (rate or 1.0)])  # own states of parts in any unit
 
 
 def _most_asked(law: LinearLaw, fastest: float) -> Array:

@@ -2,10 +2,12 @@
 
 With xi as in `sim.linear.sampled_response`, f the forces of `SuspensionForces` and E their effect on the states,
 
-    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u),    x = xi + J z_r,
+    xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
-with d and v linear in x. Over a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step
-are products with matrices that are known beforehand, and only f is evaluated stage by stage.
+with d, v and the own states z of parts linear in x. If these states are not linear, their rates beyond those of the linear model
+are further forces f. If the inertance at a motion ratio differs by b(d) from that in A, f has b(d) v', too, and v' = V xi'. Over
+a step u, the road z_r and the loads l are held. All but f is linear, so the four stages of a step are products with matrices that
+are known beforehand, and only f is evaluated stage by stage.
 
 Forces of actuators and coefficients of adjustable dampers act through their lag, and through the motion ratio at each stage. At
 every sample a law requests forces, and each adjustable damper takes the coefficient within its range that comes next to its
@@ -14,6 +16,7 @@ force. No limit of travel or force acts.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -49,9 +52,14 @@ class Stepper:
         self._vehicle = vehicle
         self.model, acting, at_once = _with_lags(vehicle)
         self._forces = SuspensionForces([vehicle], whole=False, contacts=False)
-        (rows, of_road, push, shown), model = suspensions_of(vehicle, self._forces.acts), self.model
-        (n, m), s = model.B.shape, shown.shape[1]
-        self._n, self._s, self.shown, self.ratios = n, s, shown, MotionRatios([vehicle])
+        linear, model = vehicle.linear_model, self.model
+        rows, of_road, push, shown = suspensions_of(vehicle, linear, vehicle.force_effects, self._forces.acts)
+        (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
+        self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
+        V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
+        self._response = V[:, : len(push)] @ push  # of v' to forces
+        push = np.hstack([push, np.eye(len(push), own, own - len(push))])  # own states are the last ones of the linear model
+        w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
         self._stretching = stretching(vehicle) if vehicle.dampers else np.zeros((m, n))
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
@@ -60,28 +68,35 @@ class Stepper:
         if felt:
             rows, of_inputs = np.vstack([rows, acting]), np.vstack([of_inputs, at_once])
             of_road = np.pad(of_road, ((0, m), (0, 0)))
+        if own:
+            rows = np.vstack([rows, np.eye(own, n, len(push) - own)])
+            of_inputs, of_road = (np.pad(one, ((0, own), (0, 0))) for one in (of_inputs, of_road))
         self._acting, self._at_once = acting.T, at_once.T
-        self._rows, self._of_road, self._of_inputs = rows.T, of_road.T, of_inputs.T
+        self._rows = np.vstack([rows, V @ model.A]).T
+        self._of_road = np.vstack([of_road, V @ (model.A @ model.jump + model.Br)]).T
+        self._of_inputs, self._of_held = np.vstack([of_inputs, V @ model.B]).T, V @ model.Bh
         # All that a step has, by what it depends on: states, inputs, road, loads, and the forces of the four stages.
         held = np.hstack([model.B, model.A @ model.jump + model.Br, model.Bh])
         forces = n + held.shape[1]
-        start = total = np.eye(n, forces + 4 * s)
+        start = total = np.eye(n, forces + 4 * w)
         rate, stages = np.zeros_like(start), list[Array]()
-        argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * s))])
+        argument = np.hstack([np.zeros((len(rows), n)), of_inputs, of_road, np.zeros((len(rows), model.Bh.shape[1] + 4 * w))])
         for i, (share, weight) in enumerate(zip(SHARES, WEIGHTS, strict=True)):
             at = start + share * timestep * rate
-            stages.append(rows @ at + argument)
+            moved = rows @ at + argument
             rate = model.A @ at
             rate[:, n:forces] += held
-            rate[: len(push), forces + i * s : forces + (i + 1) * s] += push
+            stages.append(np.vstack([moved, V @ rate]))
+            rate[: len(push), forces + i * w : forces + (i + 1) * w] += push
             total = total + weight * timestep * rate
         every = np.vstack([total, *stages]).T
         self._of_states, self.by_inputs, self._outside = (
             np.ascontiguousarray(every[begin:end]) for begin, end in ((0, n), (n, n + m), (n + m, forces))
         )
         self._pushed = np.ascontiguousarray(total[:, forces:].T)
-        self._later = [np.ascontiguousarray(one[:, forces : forces + i * s].T) for i, one in enumerate(stages)]
-        self._stages = [slice(n + i * len(rows), n + (i + 1) * len(rows)) for i in range(len(stages))]
+        self._later = [np.ascontiguousarray(one[:, forces : forces + i * w].T) for i, one in enumerate(stages)]
+        width = len(rows) + len(V)
+        self._stages = [slice(n + i * width, n + (i + 1) * width) for i in range(len(stages))]
 
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
         """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
@@ -97,26 +112,48 @@ class Stepper:
             xi: xi before the step, shape (N, n).
             added: what road, loads and inputs add, shape (N, k), see `outside` and `by_inputs`.
         """
-        known, s, forces, still = xi.dot(self._of_states), self._s, self._forces, self._still
+        known, s, w = xi.dot(self._of_states), self._s, self._s + self._own
         known += added
-        pulls = np.empty((len(xi), 4 * s))
+        pulls = np.empty((len(xi), 4 * w))
         for i, (stage, later) in enumerate(zip(self._stages, self._later, strict=True)):
             y = known[:, stage]
             if i:
-                y = y + pulls[:, : i * s].dot(later)
-            pulls[:, i * s : (i + 1) * s] = forces(y[:, :s], y[:, s : 2 * s], y[:, 2 * s :] if still is None else still)
+                y = y + pulls[:, : i * w].dot(later)
+            at, free = self._at(y)
+            pulls[:, i * w : i * w + s] = self._pulls(at, free)
+            if self._own:
+                pulls[:, i * w + s : (i + 1) * w] = self._forces.rates(*at)
         return known[:, : self._n] + pulls.dot(self._pushed)
 
-    def pulls(self, xi: Array, heights: Array, inputs: Array) -> Array:
+    def pulls(self, xi: Array, heights: Array, inputs: Array, held: Array | None = None) -> Array:
         """Returns the forces of the suspensions [N], shape (..., N, s).
 
         Args:
             xi: shape (..., N, n).
             heights: road heights [m], shape (..., N, r).
             inputs: requested forces, or coefficients of dampers, shape (..., N, m).
+            held: loads, and road velocities if tyres damp, shape (..., N, l) or (..., N, l + r); None for zero.
         """
-        y, s = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs, self._s
-        return self._forces(y[..., :s], y[..., s : 2 * s], y[..., 2 * s :] if self._still is None else self._still)
+        y = xi @ self._rows + heights @ self._of_road + inputs @ self._of_inputs
+        if held is not None and len(self._of_held):
+            y[..., -self._s :] += held @ self._of_held.T
+        return self._pulls(*self._at(y))
+
+    def _at(self, y: Array) -> tuple[tuple[Array, Array, Array, Any], Array]:
+        """Returns what forces depend on, as `SuspensionForces` takes it, and v' without them; of a stage, shape (..., N, k)."""
+        s, last = self._s, y.shape[-1] - len(self._response)
+        end = last - self._own
+        inputs = y[..., 2 * s : end] if self._still is None else self._still
+        return (y[..., :s], y[..., s : 2 * s], inputs, y[..., end:last] if self._own else None), y[..., last:]
+
+    def _pulls(self, at: tuple[Array, Array, Array, Any], free: Array) -> Array:
+        """Returns the forces with those of inertial parts [N], shape (..., N, s); see `_at`."""
+        f = self._forces(*at)
+        if not len(self._response):
+            return f
+        b = self._forces.inertance(at[0])
+        held = np.eye(self._s) - b[..., None] * self._response
+        return np.linalg.solve(held, (f + b * free)[..., None])[..., 0]
 
     def speeds(self, xi: Array, heights: Array) -> Array:
         """Returns the stretching rates of adjustable dampers [m/s], shape (..., m); arguments as for `pulls`."""
@@ -132,7 +169,8 @@ class Stepper:
             missing: forces that adjustable dampers omit [N], shape (T, m) or, without such dampers, (T, 0).
         """
         vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
-        beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None])[:, 0] @ self.shown.T
+        held = road.in_signals[:, None] if road.pushed else None
+        beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None], held)[:, 0] @ self.shown.T
         if road.pushed:
             beyond = beyond + road.in_signals @ model.Dh.T
         if vehicle.dampers:
@@ -281,6 +319,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     laws = _Laws(controllers, inputs, steps, period)
     (n, m), count, samples = steps.model.B.shape, len(inputs), len(time)
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
+    readings = np.stack([one.in_readings for one in inputs], axis=1) if any(one.pushed for one in inputs) else None
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
     xi, kept, now = (np.zeros((count, width)) for width in (n, laws.states, m))
@@ -291,7 +330,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
         if not laws.idle:
             if k % period == 0:  # a reading contains the forces that acted until then
                 kept_along[k // period] = kept
-                pulls = steps.pulls(xi, heights[k], now) if laws.feels else unfelt
+                pulls = steps.pulls(xi, heights[k], now, None if readings is None else readings[k]) if laws.feels else unfelt
                 requested, kept = laws(k // period, xi, now, pulls, kept)
                 waiting[k + late] = (requested, lost)
                 if of is not None:

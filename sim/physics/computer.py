@@ -31,7 +31,7 @@ class InitialState:
     """State of a run at its start, for forces without adjustable dampers.
 
     Attributes:
-        motion: positions, velocities and activations of MuJoCo, shape (nq + nv + na,).
+        motion: positions and velocities of MuJoCo, own states of parts, and activations, shape (nq + nv + k + na,).
         acting: the forces that acted before [N], shape (m,).
         law, undelayed: states of the controller, and of the second one, as they are run.
         pending: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).

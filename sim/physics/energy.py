@@ -168,9 +168,11 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
-        start += _stored(one, length.d)
-        end += _stored(one, length.after)
-        lost += _lost(one, length)
+        z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
+        start += _stored(one, length.d, z) + _kinetic(one, length.d, length.v)
+        # States do not jump with the road.
+        end += _stored(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
+        lost += _lost(one, length, z)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
@@ -185,20 +187,34 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     return Energy(of_road, of_inputs, float(stored[-1]), taken, turnover, residual, least, loads, allowed)
 
 
-def _stored(one: "SuspensionPart", deflection: Array) -> Array:
-    """Returns the energy that a part stores at deflections [J], shape (...), without that of the vehicle's own spring."""
-    return one.part.stored_beyond(deflection) + one.added.stiffness * np.square(deflection) / 2
+def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
+    """Returns the energy that a part stores at deflections and states [J], shape (...), without that of the vehicle's own
+    spring.
+    """
+    return one.part.stored_beyond(deflection, z) + one.added.stiffness * np.square(deflection) / 2
 
 
-def _lost(one: "SuspensionPart", length: "_Length") -> Array | float:
+def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | float:
+    """Returns the kinetic energy of a part [J], shape (...)."""
+    return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
+
+
+def _lost(one: "SuspensionPart", length: "_Length", z: Array | None) -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
     It leaves out the vehicle's own damper, and the force of an input, whose work is counted apart.
     """
     if one.part.stores:
         return 0.0
-    taken = length.integral(v * (one.part.beyond(d, v) + one.added(d, v)) for d, v in length.stages)
-    return taken - (_stored(one, length.after) - _stored(one, length.d[:-1]))
+    own = (None,) * 3
+    if z is not None:
+        (d, v), _, (after, w) = length.stages
+        turned = length.h / 8 * (one.part.rate(d, v, z[:-1]) - one.part.rate(after, w, z[1:]))
+        own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as the lengths
+    stages = [(d, v, z) for (d, v), z in zip(length.stages, own, strict=True)]
+    pulls = [one.part.beyond(d, v, z) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z in stages]
+    taken = length.integral(v * pull for (_, v, _), pull in zip(stages, pulls, strict=True))
+    return taken - (_stored(one, length.after, own[2]) - _stored(one, length.d[:-1], own[0]))
 
 
 @dataclass(frozen=True, eq=False)

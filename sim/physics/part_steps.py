@@ -70,7 +70,6 @@ class PartBatch(Batch):
         # A suspension without a tendon in the model has the index -1, the last tendon's; without a motor nothing acts there.
         indices = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TENDON, name) for name in tendons]
         self._lengths = _Lengths(model, indices, models or [model])
-        self._inertance = None if pulls.inertance is None else pulls.inertance[:, self._pulled]
         self._response: Array | None = None
         ends = np.cumsum([model.nq, model.nv, model.na, pulls.states])  # of the parts of a state: qpos, qvel, act, z
         self._begin, self._x = _State(count, ends), _State(count, ends)
@@ -121,8 +120,8 @@ class PartBatch(Batch):
         pulls, own = self._pulls(d, v, inputs, z), self._pulls.rates(d, v, inputs, z)
         bound.controls[:, self._motors] = pulls[:, self._pulled]
         Batch.forward(bound.batch)
-        if self._inertance is not None:
-            self._accelerate(bound, self._inertance)
+        if self._pulls.inertial:
+            self._accelerate(bound, self._pulls.inertance(d)[:, self._pulled])
         for rate, now in zip(self._parts[i], (x.velocities, bound.qacc, bound.act_dot, own), strict=True):
             rate[:] = now
 

@@ -20,7 +20,7 @@ from sim.physics import RUNS_AT_ONCE
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
 from sim.physics.driver import Failure, RunDriver
-from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage
+from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage, states_of_parts
 from synth.controller.controller import Controller, code_of
 
 if TYPE_CHECKING:
@@ -238,11 +238,17 @@ class _Loop:
         return computers
 
     def _map(self, actuators: Actuators) -> Array:
-        """Returns the map from a reading, (qpos, qvel) and part of `sensordata`, to measured signals and closing velocities."""
+        """Returns the map from a reading, (qpos, qvel), part of `sensordata` and the parts' own states, to measured signals and
+        closing velocities.
+        """
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]
         signals = np.concatenate(
-            [np.where(linear, readout.of_state[some], 0.0), np.where(linear, 0.0, readout.of_sensors[some][:, self.sensors])],
+            [
+                np.where(linear, readout.of_state[some], 0.0),
+                np.where(linear, 0.0, readout.of_sensors[some][:, self.sensors]),
+                readout.of_parts[some],
+            ],
             axis=1,
         )
         closing = np.zeros((len(actuators.closing), signals.shape[1]))
@@ -272,6 +278,7 @@ class _Loop:
         controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
         motion, activations = batch.state[:, 1 : 1 + moved], batch.bind("act")  # (qpos, qvel) after the time
+        own, sensed_to = states_of_parts(batch), width - readout.of_parts.shape[1]
         measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
         pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
@@ -285,7 +292,7 @@ class _Loop:
         if course.start is not None:
             starts = course.start[runs]
             for i, one in enumerate(starts):
-                motion[i], activations[i] = np.split(one.motion, [moved])
+                motion[i], own[i], activations[i] = np.split(one.motion, [moved, moved + own.shape[1]])
                 actuators.apply(controls[i : i + 1], one.acting[None])
             for computer in computers:
                 mine = [starts[i] for i in np.arange(count)[computer.runs]]
@@ -310,7 +317,7 @@ class _Loop:
                 if stopped():
                     return
                 k, reading, signals = start + i, readings[i], seen[i]
-                reading[:, :moved] = motion
+                reading[:, :moved], reading[:, sensed_to:] = motion, own
                 if k in sampled:
                     if fresh:
                         if in_readings is not None:
@@ -318,7 +325,7 @@ class _Loop:
                         heights[:, readout.mocap] = level[i]
                         batch.forward()
                     if stage:
-                        reading[:, moved:] = measured
+                        reading[:, moved:sensed_to] = measured
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
                     if over_travel is not None:
@@ -350,7 +357,9 @@ class _Loop:
                     side = course.beyond_edges[k][runs][None]
                     heights[:, readout.mocap] = side[0]
                     batch.forward()
-                    others[k] = recorder.signals(sensors[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
+                    others[k] = recorder.signals(sensors[None], reading[None], side, side, side, requested[[i]], acts[i : i + 1])[
+                        0
+                    ]
                 if in_signals is not None and held is not None:
                     pushed[:, readout.pushed] = held[k, :, :loads]
                 heights[...] = roads[i]
@@ -362,7 +371,7 @@ class _Loop:
             if self.after and not felt:
                 # The evaluation after a step has overwritten the step's own readings with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]
-            values = recorder.signals(sensed[1:], level, midway[block], before, requested, acts)
+            values = recorder.signals(sensed[1:], readings, level, midway[block], before, requested, acts)
             largest, overflowed = recorder.extremes(values, requested, kept)
             positions, velocities = readings[..., :nq], readings[..., nq:moved]
             yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names, others)
@@ -378,21 +387,26 @@ class _Recorder:
         self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
         missing = {one.missing for one in first.parts.adjustable}
         self.physical = [i for i, name in enumerate(names) if name not in missing]
+        self.of_parts = self.place @ readout.of_parts
         self.wheels = [names.index(wheel.road_displacement) for wheel in first.kind.wheels]
         self.inside = readout.stage > loop.after
         self.unclipped = np.array([_unclipped(one) for one in vehicles]).T
 
-    def signals(self, sensed: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array) -> Array:
+    def signals(
+        self, sensed: Array, readings: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array
+    ) -> Array:
         """Returns the signals of a block, shape (B, S, N).
 
         Args:
             sensed: MuJoCo's `sensordata`, shape (B, nsensordata, N).
+            readings: what measurements are mapped from, shape (B, N, w); its last k columns are the own states of parts.
             level, midway, before: road heights at the samples, during the steps from them and the steps to them, shape (B, N, r).
         """
         readout, place, inside = self.readout, self.place, self.inside
         values = np.zeros((len(sensed), len(place), sensed.shape[2]))
         mix(place @ readout.of_sensors, sensed, values)
         values -= (place @ readout.rest)[:, None]
+        mix(self.of_parts, np.moveaxis(readings[..., readings.shape[2] - self.of_parts.shape[1] :], 1, 2), values)
         if not readout.felt:
             mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level - midway, 1, 2), values)
             if self.after:

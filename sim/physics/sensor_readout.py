@@ -36,12 +36,13 @@ class Readout:
     rest.
 
     Attributes:
-        names: names of the S signals.
+        names: names of the S signals, the last k of which are the own states of parts.
         stage: mjtStage that each signal's sensor needs, shape (S,).
         linear: True for signals linear in (qpos, qvel), shape (S,). These are read from the state before a step: evaluating
             their sensors would cost a seventh of the step.
         of_state: linear signals from (qpos, qvel), shape (S, nq + nv).
         of_sensors: signals from `sensordata`, shape (S, nsensordata).
+        of_parts: signals from the own states of parts, shape (S, k).
         of_road: derivative of the signals in the road heights, shape (S, r). They are linear in those.
         rest: values of `of_sensors` at rest, shape (S,).
         felt: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is then not enough.
@@ -57,6 +58,7 @@ class Readout:
     linear: Array
     of_state: Array
     of_sensors: Array
+    of_parts: Array
     of_road: Array
     rest: Array
     felt: bool
@@ -91,10 +93,10 @@ def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequenc
 def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     data = mujoco.MjData(model)
     mocap = mocap_indices(vehicle, model)
-    names = vehicle.linear_model.outputs
+    names, own = vehicle.linear_model.outputs, len(vehicle.kind.of_parts)
     stage = np.zeros(len(names), dtype=int)
     of_sensors = np.zeros((len(names), model.nsensordata))
-    for i, name in enumerate(names):
+    for i, name in enumerate(vehicle.sensed):
         for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
             sensor = model.sensor(part)
             start, dim = int(sensor.adr[0]), int(sensor.dim[0])
@@ -116,7 +118,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 
     late = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
-    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
+    felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None])))) or (vehicle.inertial and bool(late.any()))
     linear = ~late
     rng = np.random.default_rng(0)
     for _ in range(3):  # a signal counts as linear if it is at a few states far from the axes
@@ -134,6 +136,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         linear=linear,
         of_state=of_state,
         of_sensors=of_sensors,
+        of_parts=np.eye(len(names), own, own - len(names)),
         of_road=np.where(late[:, None], 0.0, of_road),
         rest=rest,
         felt=felt,
@@ -143,6 +146,11 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         pushed=pushed_dofs(vehicle, model),
         damped_tyres=damped_tyres(vehicle, model),
     )
+
+
+def states_of_parts(batch: Batch) -> Array:
+    """Returns the own states of parts in a batch, 0 at first, shape (N, k)."""
+    return getattr(batch, "z", np.zeros((batch.nsim, 0)))
 
 
 def sensed_stage(readout: Readout, used: Array) -> int:

@@ -1,7 +1,7 @@
 """Derivative of MuJoCo's own step about equilibrium.
 
-A step takes position, velocity and lagging forces z to A z + B u under the acting forces u. The sensors before it measure
-C z + D u, with the forces of the step before.
+A step takes position, velocity, own states of parts and lagging forces z to A z + B u under the acting forces u. The sensors
+before it measure C z + D u, with the forces of the step before.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics.sensor_readout import batch_of, prepared
+from sim.physics.sensor_readout import batch_of, prepared, states_of_parts
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
 SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ
@@ -53,10 +53,11 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
         InputError: MuJoCo has no derivative at equilibrium, because a curve bends there.
     """
     model, readout = prepared(vehicle, timestep)
-    n, m = model.nq + model.nv + model.na, len(vehicle.linear_model.inputs)
-    sizes = np.concatenate([np.full(model.nq + model.nv, MOTION), np.full(model.na + m, FORCE)])
+    own, m = readout.of_parts.shape[1], len(vehicle.linear_model.inputs)
+    n = model.nq + model.nv + own + model.na
+    sizes = np.concatenate([np.full(n - model.na, MOTION), np.full(model.na + m, FORCE)])
     batch = batch_of(model, [vehicle] * (2 * len(sizes) + 1))
-    parts = [batch.bind(name) for name in ("qpos", "qvel", "act")]
+    parts = [batch.bind("qpos"), batch.bind("qvel"), states_of_parts(batch), batch.bind("act")]
     away = np.concatenate([np.diag(sizes), -np.diag(sizes), np.zeros((1, n + m))])
     ends = np.cumsum([0, *(part.shape[1] for part in parts)])
     for part, start in zip(parts, ends, strict=False):
@@ -64,7 +65,7 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
     batch.bind("ctrl")[:, :m], sensors = away[:, n:], batch.bind("sensordata")
     with quiet():
         batch.forward()
-        seen = sensors @ readout.of_sensors.T
+        seen = sensors @ readout.of_sensors.T + parts[2] @ readout.of_parts.T
         batch.step()
     values = np.hstack([*parts, seen])
     up, down = values[: n + m] - values[-1], values[-1] - values[n + m : -1]

@@ -58,7 +58,13 @@ def reading(limits: Sequence[Threshold]) -> Callable[[Callable[[str], Array]], A
     first = limits[0]
     if first.part is not None:
         stack, place = Stack([[one.part.part] for one in limits if one.part is not None]), first.part.place
-        return lambda get: stack.beyond(get(place.deflection)[..., None], get(place.velocity.name)[..., None])[..., 0]
+        names = [place.deflection, place.velocity.name, *(one.name for one in first.part.states)]
+
+        def beyond(get: Callable[[str], Array]) -> Array:
+            d, v, *z = (get(name)[..., None] for name in names)
+            return stack.beyond(d, v, np.stack(z, axis=-1) if z else None)[..., 0]
+
+        return beyond
     tyre = next((one.tyre for one in limits if one.tyre is not None), None)
     if tyre is None:
         return lambda get: get(first.signal)

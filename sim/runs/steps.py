@@ -12,13 +12,15 @@ step begin to act, velocities of points of the body, sums of signals, and the fo
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.document.field import Field
+from models.kinds.signals import names_of
+from models.parts.part import STEP
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
@@ -30,9 +32,10 @@ from sim.response.recursion import SHARES, WEIGHTS, lag_stages, lagging
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.kinds.motion import Motion
+    from models.kinds.motion import Motion, Pulls
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
 ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
@@ -114,10 +117,11 @@ def compare_steps(
     ahead, there = _stepped(motion, starts)
     shown = _shown(motion, starts, physics, starts.stages[0], road.in_signals[: len(starts.state)])
     readings = _readings(motion, starts, physics, commanded.measured, road.in_readings[: len(starts.state)])
-    names = (*motion.names, *shown, *readings)
+    told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
+    names = (*told, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
     # A signal is rounded, and so are those that tell it.
-    rounded = [held[name] for name in motion.names]
+    rounded = [held[name] for name in told]
     for name in (*shown, *readings):
         parts = combined.get(name, {name: 1.0})
         rounded.append(sum(abs(share) * rounding.get(part, 0.0) for part, share in parts.items()) + rounding.get(name, 0.0))
@@ -155,16 +159,18 @@ class _Starts:
         vehicle: vehicle with its limits.
         timestep: length of the steps [s].
         state: see `Motion`, shape (K, n).
+        own: own states of parts, shape (K, k).
         heights: road heights [m], including those after the last step, shape (K + 1, r).
         midway: heights at which the road is held during the steps, shape (K, r).
         loads: loads held during the steps, see `RoadInput.held`.
-        there: signals of `Motion.names` at their ends, shape (K, p).
+        there: signals of `Motion.names`, and own states of parts, at their ends, shape (K, p + k).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
     """
 
     vehicle: Vehicle
     timestep: float
     state: Array
+    own: Array
     heights: Array
     midway: Array
     loads: Array
@@ -176,29 +182,87 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     """Returns the starts of all steps, up to the first whose state the equations cannot take."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held[: count - 1]
-    names, m = motion.names, len(vehicle.linear_model.inputs)
+    names, m, of_parts = motion.names, len(vehicle.linear_model.inputs), names_of(vehicle.kind.of_parts)
     if count == 1:
         nothing = np.zeros((0, len(names)))
-        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4)
+        return _Starts(vehicle, h, nothing, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4)
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
     stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
-    there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
-    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages)
+    there = np.stack([physics[name][1 : end + 1] for name in (*names, *of_parts)], axis=-1)
+    own = np.stack([physics[name][:end] for name in of_parts], axis=-1) if of_parts else np.zeros((end, 0))
+    return _Starts(vehicle, h, state[:end], own, heights[: end + 1], midway[:end], loads[:end], there, stages)
 
 
 def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
-    """Returns signals after one step of RK4 from every start, and those of physics there, shapes (K, p)."""
-    state, h = starts.state, starts.timestep
+    """Returns signals after one step of RK4 from every start, and those of physics there, shapes (K, p + k)."""
+    state, h, n = np.concatenate([starts.state, starts.own], axis=1), starts.timestep, starts.state.shape[1]
     if not len(state):
         return starts.there, starts.there
     total, at, rate, forces = np.zeros_like(state), state, np.zeros_like(state), SuspensionForces([starts.vehicle])
     for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
-        at = state + share * h * rate
-        rate = motion.rate(at, starts.midway, _at_wheels(starts.vehicle, given), partial(forces, inputs=given), starts.loads)
+        at, seen = state + share * h * rate, list[tuple[Array, Array]]()
+        acting = starts.midway, _at_wheels(starts.vehicle, given)
+        pulls = _pulls(motion, forces, given, at[:, n:], seen, at[:, :n], *acting, starts.loads)
+        rate[:, :n] = motion.rate(at[:, :n], *acting, pulls, starts.loads)
+        if forces.states:
+            rate[:, n:] = forces.rates(*seen[0], given, at[:, n:])
         total += weight * rate
-    return motion.read(state + h * total, starts.heights[1:]), starts.there
+    end = state + h * total
+    return np.concatenate([motion.read(end[:, :n], starts.heights[1:]), end[:, n:]], axis=1), starts.there
+
+
+def _pulls(
+    motion: "Motion",
+    forces: SuspensionForces,
+    given: Array,
+    own: Array,
+    seen: list[tuple[Array, Array]],
+    state: Array,
+    heights: Array,
+    inputs: Array,
+    loads: Array,
+) -> "Pulls":
+    """Returns the forces of suspensions for some states, with those of inertial parts.
+
+    Without inertial parts the rates of the deflections change by a; pulls p of theirs make this a + R p. So p = b (a + R p). A
+    complex step along a motion has the exact change of the rates of the deflections.
+
+    Args:
+        given: commands that act.
+        own: own states of parts.
+        seen: gets the deflections and their rates, in its first entry.
+        state, heights, inputs, loads: see `Motion.rate`.
+
+    Raises:
+        InputError: the equations of a custom vehicle type do not take complex states.
+    """
+
+    def pulls(d: Array, v: Array) -> Array:
+        seen.append((d, v))
+        return forces(d, v, given, own)
+
+    if not forces.inertial or not len(state):
+        return pulls
+
+    def along(d: Array, v: Array) -> Array:
+        seen.append((d, v))
+        return np.zeros(v.shape)
+
+    def change(more: Array | float) -> Array:
+        rates = motion.rate(state, heights, inputs, lambda d, v: pulls(d, v) + more, loads)
+        motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
+        if not np.iscomplexobj(seen[-1][1]):
+            raise InputError("motion of this vehicle type drops the imaginary part of states; an inerter needs it, so keep it")
+        return np.imag(seen[-1][1]) / STEP
+
+    free = change(0.0)
+    response = np.stack([(change(UNIT * one) - free) / UNIT for one in np.eye(free.shape[1])], axis=-1)
+    b = forces.inertance(seen[0][0])
+    held = np.eye(free.shape[1]) - b[..., None] * response
+    inertial = np.linalg.solve(held, (b * free)[..., None])[..., 0]
+    return lambda d, v: pulls(d, v) + inertial
 
 
 def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
@@ -206,11 +270,9 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
 
-    def pulls(d: Array, v: Array) -> Array:
-        seen.append((d, v))
-        return forces(d, v, given)
-
-    shown = dict(motion.outputs(starts.state, starts.heights[:-1], _at_wheels(vehicle, given), pulls, loads))
+    at = starts.state, starts.heights[:-1], _at_wheels(vehicle, given)
+    pulls = _pulls(motion, forces, given, starts.own, seen, *at, loads)
+    shown = dict(motion.outputs(*at, pulls, loads))
     travels, speeds = seen[0]
     for part, v in zip(kind.suspensions, speeds.T, strict=True):
         shown.setdefault(part.velocity.name, v)

@@ -50,6 +50,7 @@ class Designs:
         flat: gains that may move at little cost, see `_flatness`.
         passive: expected ride of the passive suspension [m/s2], or None.
         felt: expected ride by point and controller, of a vehicle with a person; those with a person first.
+        without: norm without control; infinite if the vehicle is not damped.
     """
 
     vehicle: Vehicle
@@ -59,6 +60,7 @@ class Designs:
     flat: dict[str, list[float | None]]
     passive: float | None
     felt: Mapping[str, Mapping[str, float | None]]
+    without: float
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
@@ -103,13 +105,14 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
     stage(FREE)
     flat = {} if options.check else _flatness(designer, rows)
     rows = tuple(_finished(vehicle, row, options.fragility) for row in rows)
-    passive = expected_ride(vehicle, designer.design("passive"))
+    passive = designer.design("passive")
     limit = designer.beyond_control
     where, loops = vehicle.ride_points, {row.name: row.controller for row in rows if row.controller is not None}
-    loops = {"passive": designer.design("passive"), **loops}
+    loops = {"passive": passive, **loops}
     felt = {at: {name: expected_ride(vehicle, one, [at]) for name, one in loops.items()} for at in where.all if where.people}
     stage.end()
-    return Designs(vehicle, rows, limit, designer.plant, flat, passive, felt)
+    without = passive.certificate.norm.value
+    return Designs(vehicle, rows, limit, designer.plant, flat, expected_ride(vehicle, passive), felt, without)
 
 
 def _designed(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
@@ -263,7 +266,7 @@ def document(designs: Designs, options: Namespace) -> Document:
     vehicle, rows = designs.vehicle, designs.rows
     asked = bool(options.given & ASKED)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
-    blocks: list[Block] = [*(details(vehicle, row) for row in rows)]
+    blocks: list[Block] = [*_worse(designs), *(details(vehicle, row) for row in rows)]
     if not options.verbose:
         gains = not asked or len(rows) == 1
         blocks += answers(rows, gains, checked=bool(options.check))
@@ -282,6 +285,18 @@ def document(designs: Designs, options: Namespace) -> Document:
         names = ", ".join(map(as_name, unnamed))
         blocks += notes(f"Linear analysis does not apply to {names}. Simulate them with sim.drive or sim.campaign.")
     return Document("", (*blocks, proofs(rows), *_flat(designs), *([] if options.verbose else notes(MORE))))
+
+
+def _worse(designs: Designs) -> tuple[Statement, ...]:
+    """Returns a warning of designs for a small norm that have a larger one than the vehicle without control."""
+    entries, norms = designs.vehicle.controllers, dict[str, float]()
+    for row in designs.rows:
+        entry, certificate = entries.get(row.name), row.certificate
+        if certificate is not None and certificate.bound is not None and not (entry and entry.law is not None):
+            norms[row.name] = certificate.norm.value
+    worse = ", ".join(f"{as_name(name)} {NORM.digits(norm)}" for name, norm in norms.items() if norm > WORSE * designs.without)
+    text = f"WARNING: the norm of these designs is above that without control, {NORM.digits(designs.without)}: {worse}"
+    return notes(text, detail="brief") if worse else ()
 
 
 def _rides(designs: Designs) -> list[Statement]:

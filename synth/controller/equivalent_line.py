@@ -23,7 +23,6 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
-from models.kinds.at_wheels import force_effects
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
@@ -72,7 +71,7 @@ def equivalent_line(
     placed = [one for one in vehicle.parts.with_curve if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
-    push, shown = force_effects(vehicle.kind, vehicle.parameters, [one.deflection for one in placed])
+    push, shown = vehicle.force_effects([one.deflection for one in placed])
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
     by_name = {one.name: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):

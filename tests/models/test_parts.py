@@ -28,6 +28,8 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
@@ -37,6 +39,7 @@ from tests.support.commands import attacks
 from tests.support.mechanism import CORNERS, Mechanism, acting, axle, integrated, rk4, static_loads, straight
 
 EXACT, FAULT = 1e-12, 1.02
+ELEMENTS = ("element", "mount", "inertia")  # slots, in the order of the file
 SPRING, DAMPER = 25e3, 1800.0  # N/m, N s/m of suspensions without curves
 AXLES = {"": 1.0, "_front": 1.0, "_rear": 1.1}  # factors on forces and ratios, so that no axle stands in for another
 TRAVEL, RATIO = [-0.05, -0.02, 0.015, 0.045], [0.82, 0.72, 0.68, 0.6]
@@ -53,12 +56,14 @@ class Row:
 
     Attributes:
         part: its name in `PARTS`.
-        slot: spring, damper, stop, input or element; of two rows with one slot a suspension has only one.
+        slot: spring, damper, stop, input, element or mount; of two rows with one slot a suspension has only one.
         file: (factor on its forces, fault of one number) -> its value or keys in the file.
-        law: pull [N] by own extension, its rate and the input, (d, v, u) -> arrays.
+        law: pull [N] by own extension, its rate and the input, (d, v, u) -> arrays; of a part with a state (d, v, z) -> arrays.
         d, v: knots of the law over extension and rate.
         line: extensions and rates within which it follows its line, either way; None if it bends at rest.
-        known: forces from outside the project, as sections of the file and points (d, v, u, pull).
+        known: forces from outside the project, as sections of the file and points (d, v, u, pull), or (d, v, u, pull, z) at which
+            the state z stays.
+        rate: z' of a part with a state, (d, v, z) -> arrays.
     """
 
     part: str
@@ -69,6 +74,8 @@ class Row:
     v: tuple[float, ...] = ()
     line: tuple[float, float] | None = None
     known: tuple = ()
+    rate: Callable | None = None
+    inertance: float = 0.0
 
 
 # Values of the rows.
@@ -201,6 +208,32 @@ ROWS = {
             [(-0.06, -0.5, 0, -1400.0), (-0.06, 0.5, 0, -400.0), (0.2, -1.0, 0, 0.0)],
         ),
     ),
+    "Maxwell element": Row(
+        "maxwell", "mount", lambda s, e: f"stiffness = {6e4 * s * e}\ndamping = {1500.0 * s}",
+        lambda d, v, z: 6e4 * z, rate=lambda d, v, z: v - 40.0 * z,
+        known=(  # at a constant rate the damper alone, whatever the spring
+            '[parts.own]\nkind = "maxwell"\nstiffness = 5e4\ndamping = 1250.0',
+            [(0.1, 0.3, 0, 375.0, 7.5e-3), (0, -2.0, 0, -2500.0, -0.05)],
+        ),
+    ),
+    "Bouc-Wen": Row(
+        "bouc_wen", "element",
+        lambda s, e: f"stiffness = {3e4 * s}\nshare = 0.3\nbeta = {60.0 * e}\ngamma = 40.0",
+        lambda d, v, z: 3e4 * (0.3 * d + 0.7 * z), (), (0.0,),
+        rate=lambda d, v, z: v - 60.0 * np.abs(v) * z - 40.0 * v * np.abs(z),
+        known=(  # the largest hysteretic force, after Wen (1976)
+            '[parts.own]\nkind = "bouc_wen"\nstiffness = 1e4\nshare = 0.2\nbeta = 60.0\ngamma = 40.0',
+            [(0.1, 0.3, 0, 200 + 80.0, 0.01), (-0.1, -9.0, 0, -200 - 80.0, -0.01)],
+        ),
+    ),
+    "inerter": Row(
+        "inerter", "inertia", lambda s, e: f"inertance = {30.0 * s * e}", lambda d, v, u: 0.0 * d, inertance=30.0,
+        known=(  # b r r' v^2 on a rocker of 0.7 + d / (5 m)
+            "[curves]\nmotion_ratio = { deflection = [-0.1, 0.1], ratio = [0.68, 0.72] }\n"
+            '[parts.own]\nkind = "inerter"\ninertance = 200.0',
+            [(0.02, 0.3, 0, 200 * 0.704 * 0.2 * 0.09), (-0.03, -2.0, 0, 200 * 0.694 * 0.2 * 4.0), (0.2, 2.0, 0, 0.0)],
+        ),
+    ),
     "actuator": Row(
         "actuator", "input", lambda s, e: "", lambda d, v, u: -u,
         known=(  # virtual work on a rocker of 0.7 + d / (5 m)
@@ -261,10 +294,10 @@ def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault:
             sections.setdefault(section, []).append(f"suspension_{name}{end} = {value}")
         if "stop" in by_slot:
             sections[f"limits{end.replace('_', '.')}"] = [by_slot["stop"].file(s, fault)]
-        if "element" in by_slot:
+        for slot in [one for one in ELEMENTS if one in by_slot]:
             at = f'at = ["{end.removeprefix("_")}"]' * bool(end)
-            own = by_slot["element"]
-            sections[f"parts.own{end}"] = [f'kind = "{own.part}"\n{own.file(s, fault)}\n{at}']
+            own = by_slot[slot]
+            sections[f"parts.{slot}{end}"] = [f'kind = "{own.part}"\n{own.file(s, fault)}\n{at}']
         x, r = ratios_at(ratio, end)
         if "actuator" in names:  # which has no number but its ratio, and its lag
             r[1] *= fault
@@ -285,7 +318,12 @@ def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault:
     return parse_vehicle(text)
 
 
-def own_law(names: tuple[str, ...], d, v, u):
+def with_states(names: tuple[str, ...]) -> list[Row]:
+    """The rows with a state, in the order of the elements."""
+    return [ROWS[name] for slot in ELEMENTS for name in names if ROWS[name].slot == slot and ROWS[name].rate]
+
+
+def own_law(names: tuple[str, ...], d, v, u, z):
     """The pull of all in a suspension [N], in its own travel, and the shape of its input, for a factor of 1."""
     rows = {ROWS[name].slot: ROWS[name] for name in names}
     spring = rows["spring"].law(d, v, u) if "spring" in rows else SPRING * d
@@ -293,7 +331,8 @@ def own_law(names: tuple[str, ...], d, v, u):
     if "adjustable damper with curves" in names:  # a curve in parallel adds what it has beyond its line
         nominal = SOFT(v) + (DAMPER - SLOPES[0]) * setting(v)
         damper = nominal + damper - DAMPER * v
-    more = sum(rows[slot].law(d, v, u) for slot in ("stop", "element") if slot in rows)
+    more = sum(rows[slot].law(d, v, u) for slot in ("stop", *ELEMENTS) if slot in rows and rows[slot].rate is None)
+    more = more + sum(row.law(d, v, z[..., i]) for i, row in enumerate(with_states(names)))
     return spring + damper + more + (rows["input"].law(d, v, u) if "input" in rows else -u)
 
 
@@ -320,11 +359,29 @@ class Law:
         line, whole = self.ratios
         return line(d), whole(d) - whole(0.0)
 
-    def __call__(self, d, v, u: np.ndarray | float = 0.0):
-        """Pull [N] at deflections and their rates, with the actuator's force or the coefficient beyond the nominal one."""
+    def __call__(self, d, v, u: np.ndarray | float = 0.0, z: np.ndarray | None = None):
+        """Pull [N] at deflections and their rates, with the actuator's force or the coefficient beyond the nominal one.
+
+        Args:
+            z: states, shape (..., n); None for 0.
+        """
+        z = np.zeros((*np.shape(d), len(with_states(self.names)))) if z is None else z
         (r, D), s = self.travel(d), self.size * AXLES[axle(self.end)]
         on = u / s  # forces have a factor, coefficients and actuators have not
-        return s * r * own_law(self.names, D, r * v, on) - (r / self.travel(0.0)[0] - 1) * self.load
+        of_inertance = self.inertance(d) * self.ratios[0].derivative()(d) / r * np.square(v)
+        return s * r * own_law(self.names, D, r * v, on, z) - (r / self.travel(0.0)[0] - 1) * self.load + of_inertance
+
+    def rates(self, d, v, z):
+        """Rates of the states, shape (..., n)."""
+        (r, D), found = self.travel(d), np.zeros(np.shape(z))
+        for i, row in enumerate(with_states(self.names)):
+            found[..., i] = row.rate(D, r * v, z[..., i])
+        return found
+
+    def inertance(self, d):
+        """b of a further force b v' [kg] at deflections."""
+        b = sum(ROWS[name].inertance for name in self.names)
+        return self.size * AXLES[axle(self.end)] * b * self.travel(d)[0] ** 2
 
 
 def laws(kind, names, ratio, size=1.0) -> list[Law]:
@@ -339,6 +396,12 @@ def motions(count: int = 400):
     return d, v, rng.uniform(-1e3, 1e3, count)
 
 
+def of_states(parts: list[Part], count: int = 400) -> list[np.ndarray]:
+    """Random states of each part, shapes (count, n)."""
+    rng = np.random.default_rng(5)
+    return [0.01 * rng.standard_normal((count, len(part.states))) for part in parts]
+
+
 def without_part(vehicle: Vehicle, place, r, d, v, u):
     """The pull of what a suspension has in its linear model alone."""
     own, s = [one for one in vehicle.parts if one.place is place], AXLES[axle(place.ending)]
@@ -346,6 +409,14 @@ def without_part(vehicle: Vehicle, place, r, d, v, u):
     if not any(place.damping == one.parameter for one in own):
         total = total + r**2 * DAMPER * s * v
     return total - (0.0 if any(one.part.inputs for one in own) else r * u)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered():
+    """The element of the tests alone is in the registry."""
+    PARTS["bouc_wen"] = "tests.support.bouc_wen:BoucWen"
+    yield
+    del PARTS["bouc_wen"]
 
 
 def test_every_part_has_a_row():
@@ -368,8 +439,9 @@ def test_numbers_from_outside_the_project(name):
         text = re.sub(rf"(?m)^{curve} = .*\n", "", text)
     parts = [one.part for one in parse_vehicle(f"{text}\n{sections}\n").parts]
     (part,) = (one for one in parts if isinstance(bare(one), part_class(ROWS[name].part)))
-    d, v, u, pull = np.array(points, dtype=float).T
-    np.testing.assert_allclose(part.pull(d, v, None, u), pull, rtol=1e-9, atol=1e-9)
+    d, v, u, pull, *z = np.array(points, dtype=float).T
+    np.testing.assert_allclose(part.pull(d, v, np.array(z).T, u), pull, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(part.rate(d, v, np.array(z).T, u), 0.0, atol=1e-12)
 
 
 @every
@@ -378,10 +450,18 @@ def test_the_force_is_the_law(kind, names, ratio):
     vehicle = car(kind, names, ratio)
     d, v, u = motions()
     for law, place in zip(laws(kind, names, ratio), vehicle.kind.suspensions, strict=True):
-        parts, expected = [one.part for one in vehicle.parts if one.place is place], law(d, v, u)
-        found = sum(part.pull(d, v, None, u if part.inputs else 0.0) for part in parts)
+        parts = [one.part for one in vehicle.parts if one.place is place]
+        z = of_states(parts)
+        every = np.concatenate(z, axis=1) if z else None
+        expected = law(d, v, u, every)
+        found = sum(part.pull(d, v, own, u if part.inputs else 0.0) for part, own in zip(parts, z, strict=True))
+        rates = [part.rate(d, v, own) for part, own in zip(parts, z, strict=True)]
+        assert every is None or np.abs(np.concatenate(rates, axis=1) - law.rates(d, v, every)).max(initial=0.0) < EXACT
         found = found + without_part(vehicle, place, law.travel(0.0)[0], d, v, u)
         assert np.abs(found - expected).max() < EXACT * np.abs(expected).max()
+        b = sum(part.inertance_at(d) for part in parts)
+        np.testing.assert_allclose(b * np.ones_like(d), law.inertance(d), rtol=EXACT)
+        np.testing.assert_allclose(sum(part.line.inertance for part in parts), law.inertance(0.0), rtol=EXACT)
 
 
 def slope(f, h=1e-5):
@@ -390,10 +470,10 @@ def slope(f, h=1e-5):
     return 2 * near - far
 
 
-def pulled(part: Part, i: int, x: float):
-    """The pull with x as the extension, its rate or the input, and the others 0."""
-    d, v, u = x * np.eye(3)[i]
-    return part.pull(d, v, None, u)
+def moved(part: Part, i: int, x: float):
+    """The pull and the rates of the states with x as the extension, its rate, the input or a state, and the others 0."""
+    d, v, u, *z = x * np.eye(3 + len(part.states))[i]
+    return np.array([part.pull(d, v, np.array(z), u), *part.rate(d, v, np.array(z), u)])
 
 
 @every
@@ -402,11 +482,18 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
     vehicle, at = car(kind, names, ratio), np.zeros(1)
     d, v, u = motions()
     for one in vehicle.parts:
-        part, line, own = one.part, one.part.line, u if one.part.inputs else 0.0
-        for i, found in enumerate((line.stiffness, line.damping, line.gain)):
-            assert found == pytest.approx(float(slope(partial(pulled, part, i))), rel=1e-7, abs=1e-6)
-        pull, beyond = part.pull(d, v, None, own), part.beyond(d, v, None, own)
-        assert np.abs(beyond - (pull - line(d, v, own))).max() <= EXACT * np.abs(pull).max()
+        part, line, own, (z,) = one.part, one.part.line, u if one.part.inputs else 0.0, of_states([one.part])
+        found = np.array([[line.stiffness, line.damping, line.gain, *(() if line.of_states is None else line.of_states)]])
+        if line.rates is not None:  # over (z, d, v, u)
+            found = np.vstack([found, np.roll(line.rates, 3, axis=1)])
+        expected = np.stack([slope(partial(moved, part, i)) for i in range(3 + len(part.states))], axis=-1)
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-6)
+        assert np.array_equal(found == 0, np.abs(expected) < 1e-6), "exactly 0"
+        pull, beyond = part.pull(d, v, z, own), part.beyond(d, v, z, own)
+        assert np.abs(beyond - (pull - line(d, v, own, z))).max() <= EXACT * np.abs(pull).max()
+        if part.states:
+            rates, apart = part.rate(d, v, z), part.rate_beyond(d, v, z)
+            assert np.abs(apart - (rates - line.rate(d, v, z))).max() <= EXACT * np.abs(rates).max()
         rows = [ROWS[name] for name in names]
         rows = [row for row in rows if isinstance(bare(part), part_class(row.part)) or (part.inputs and row.slot == "damper")]
         ends = [row.line for row in rows if row.line is not None]
@@ -414,13 +501,26 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
             ends = np.min(ends, axis=0)
             within = (np.abs(d) < ends[0] / one.ratio) & (np.abs(v) < ends[1] / one.ratio)
             assert within.any()
-            assert not part.beyond(d[within], v[within]).any(), "exactly 0"
+            assert not part.beyond(d[within], v[within], z[within]).any(), "exactly 0"
     rates = vehicle.kind.at_wheels(vehicle.parameters)
     for law, place in zip(laws(kind, names, ratio), vehicle.kind.suspensions, strict=True):
         lines = [one.part.line for one in vehicle.parts if one.place is place and not one.parameter]
         stiffness, damping = (sum(getattr(line, name) for line in lines) for name in ("stiffness", "damping"))
         assert rates[place.stiffness] + stiffness == pytest.approx(float(slope(partial(law, v=at))[0]), rel=1e-7)
         assert rates[place.damping] + damping == pytest.approx(float(slope(partial(law, at))[0]), rel=1e-7)
+
+
+def followed(part: Part, d, v, h: float):
+    """The states of a part from rest along a path, shape (T, n), by steps of RK4 over two samples, and Hermite's cubics."""
+    z = np.zeros((len(d), len(part.states)))
+    for k in range(0, len(d) - 2, 2 if part.states else len(d)):
+        at = [partial(part.rate, d[k + i], v[k + i]) for i in range(3)]
+        first = at[0](z[k])
+        second = at[1](z[k] + h * first)
+        third = at[1](z[k] + h * second)
+        z[k + 2] = z[k] + h / 3 * (first + 2 * second + 2 * third + at[2](z[k] + 2 * h * third))
+        z[k + 1] = (z[k] + z[k + 2]) / 2 + h / 4 * (first - at[2](z[k + 2]))
+    return z
 
 
 @every
@@ -434,16 +534,18 @@ def test_energy_is_stored_or_lost(kind, names, ratio):
     for part in [one.part for one in vehicle.parts]:
         if part.inputs and not vehicle.dampers:
             continue  # an actuator gives and takes
+        z = followed(part, d, v, t[1] / 5.0)
         for u in (0.0, *((bare(part).low, bare(part).high) if part.inputs else ())):
-            supplied = cumulative_simpson(part.pull(d, v, None, np.full_like(d, u)) * v, x=t / 5.0, initial=0.0)
-            lost = supplied - (part.stored(d) - part.stored(d[:1]))
+            force = part.pull(d, v, z, np.full_like(d, u)) - part.centrifugal(d, v)  # whose work is kinetic energy
+            supplied = cumulative_simpson(force * v, x=t / 5.0, initial=0.0)
+            lost = supplied - (part.stored(d, z) - part.stored(d[:1], z[:1]))
             scale = np.abs(supplied).max() + 1e-9
             assert np.diff(lost).min() > -1e-5 * scale
             assert (abs(lost[-1]) < 1e-5 * scale) == part.stores
         if part.stores:
             energy = cumulative_simpson(part.pull(x, np.zeros_like(x)), x=x, initial=0.0)
             energy -= energy[len(x) // 2]
-            assert np.abs(part.stored(x) - energy).max() < 1e-7 * np.abs(energy).max()
+            assert np.abs(part.stored(x) - energy).max() <= 1e-7 * np.abs(energy).max()
             beyond = part.stored(x) - part.line.stiffness * x**2 / 2
             assert np.abs(part.stored_beyond(x) - beyond).max() <= EXACT * np.abs(energy).max()
 
@@ -456,11 +558,24 @@ def test_different_vehicles_are_stacked(kind, names, ratio):
     cars = [first, first.with_parameters(**{name: 1.02 * first.parameters[name]}), other, first]
     c, rng = len(CORNERS[kind]), np.random.default_rng(3)
     d, v, u = (np.repeat(far * rng.standard_normal((50, 1, c)), len(cars), axis=1) for far in (0.03, 0.4, 900.0))
-    found = SuspensionForces(cars)(d, v, u)
-    for i, one in enumerate(cars):
-        own = slice(i, i + 1)
-        alone = SuspensionForces([one])(d[:, own], v[:, own], u[:, own])[:, 0]
-        assert np.abs(found[:, i] - alone).max() <= EXACT * np.abs(alone).max()
+    z = np.repeat(0.01 * rng.standard_normal((50, 1, SuspensionForces(cars).states)), len(cars), axis=1)
+    for whole in (True, False):
+        forces = SuspensionForces(cars, whole=whole)
+        found, rates, b = forces(d, v, u, z), forces.rates(d, v, u, z), forces.inertance(d)
+        for i, one in enumerate(cars):
+            own, single = slice(i, i + 1), SuspensionForces([one], whole=whole)
+            alone, of_alone = (
+                single(d[:, own], v[:, own], u[:, own], z[:, own]),
+                single.rates(d[:, own], v[:, own], u[:, own], z[:, own]),
+            )
+            assert np.abs(found[:, own] - alone).max() <= EXACT * np.abs(alone).max()
+            assert np.abs(rates[:, own] - of_alone).max(initial=0.0) <= EXACT * np.abs(of_alone).max(initial=0.0)
+            np.testing.assert_allclose(b[:, own], single.inertance(d[:, own]), rtol=EXACT, atol=1e-12)
+            own_laws = laws(kind, names, ratio, 1.3 if one is other else 1.0)
+            inertances = np.stack([law.inertance(d[:, i, k]) for k, law in enumerate(own_laws)], axis=-1)
+            changed = name.startswith("motion") and i == 1
+            assert changed or not whole or np.allclose(b[:, i], inertances, rtol=EXACT)
+    found = SuspensionForces(cars)(d, v, u, z)
     if {ROWS[name].part for name in names} <= {"spring", "damper", "surface damper"}:
         scaled = {name: 1.3 * value for name, value in first.parameters.items() if name.startswith("suspension_")}
         alone = SuspensionForces([first.with_parameters(**scaled)])(d[:, :1], v[:, :1], u[:, :1])
@@ -484,7 +599,7 @@ def test_native_forms_are_the_stages(kind, names, ratio):
     worst = most = 0.0
     for _ in range(40):
         q, rates, u = 0.03 * rng.standard_normal(models[0].nq), 0.4 * rng.standard_normal(models[0].nv), rng.uniform(-1e3, 1e3, c)
-        found = []
+        found, z = [], 0.01 * rng.standard_normal((1, by_motors[0].states))
         for forces, model in zip(by_motors, models, strict=True):
             data, names_of = mujoco.MjData(model), [model.actuator(i).name for i in range(model.nu)]
             data.qpos[:], data.qvel[:] = q, rates
@@ -492,7 +607,7 @@ def test_native_forms_are_the_stages(kind, names, ratio):
             mujoco.mj_fwdVelocity(model, data)
             tendons = [model.tendon(place.tendon).id for place in vehicle.kind.suspensions]
             d, v = (data.ten_length - model.tendon_length0)[tendons], data.ten_velocity[tendons]
-            pulls = forces(d[None], v[None], u[None])[0]
+            pulls = forces(d[None], v[None], u[None], z)[0]
             for place, pull, own in zip(vehicle.kind.suspensions, pulls, u, strict=True):
                 for j, name in enumerate(names_of):
                     if re.fullmatch(rf"(fitted_)?{place.force}(_\d+)?", name):  # several actuators may be one damper
@@ -533,21 +648,32 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
     body = [name for name in ("sprung", "heave", "pitch", "roll") if name in joints]
     order = [joints.index(name) for name in (*body, *(f"unsprung{end}" for end in CORNERS[kind]))]
     (u, commands, lag), reached = acting(on, physics.run(0)), {name: (set[int](), set[int]()) for name in names}
-    x, n = np.concatenate([physics.qpos[0][:, order], physics.qvel[0][:, order], u], axis=1), 2 * len(order)
+    own_states = [signal.name for signal in on.vehicle.kind.of_parts]
+    z = np.stack([physics.run(0)[name] for name in own_states], axis=-1) if own_states else np.zeros((len(u), 0))
+    x, n = np.concatenate([physics.qpos[0][:, order], physics.qvel[0][:, order], z, u], axis=1), 2 * len(order)
+    m, c = n + z.shape[1], len(own)
 
-    def forces(d, v, u):
+    def forces(d, v, u, z):
         for law, one, rate in zip(own, d.T, v.T, strict=True):
             r, D = law.travel(one)
             for name, cells in reached.items():
                 for knots, at, found in zip((ROWS[name].d, ROWS[name].v), (D, r * rate), cells, strict=True):
                     found.update(np.searchsorted(sorted(knots), at).tolist())
-        return np.stack([law(*at) for law, *at in zip(own, d.T, v.T, u.T, strict=True)], axis=-1)
+        rates[:] = [law.rates(*at) for law, *at in zip(own, d.T, v.T, z, strict=True)]
+        return np.stack([law(*at) for law, *at in zip(own, d.T, v.T, u.T, z, strict=True)], axis=-1)
+
+    rates = list[np.ndarray]()
+
+    def inertance(d):
+        return np.stack([law.inertance(one) for law, one in zip(own, d.T, strict=True)], axis=-1)
 
     def rate(at):
-        x, u = at[:, :n], at[:, n:]
-        return np.concatenate([Mechanism(on.vehicle, forces).rate(x, on.midway[:-1], u), lag * (commands - u)], axis=1)
+        x, z, u = at[:, :n], np.moveaxis(at[:, n:m].reshape(len(at), c, (m - n) // c), 1, 0), at[:, m:]
+        of_inertance = inertance if any(ROWS[name].inertance for name in names) else None
+        moved = Mechanism(on.vehicle, partial(forces, z=z), of_inertance).rate(x, on.midway[:-1], u)
+        return np.concatenate([moved, *rates, lag * (commands - u)], axis=1)
 
-    assert (np.abs(rk4(rate, x[:-1], H) - x[1:])[:, :n].max(axis=0) < EXACT * np.abs(x[:, :n]).max(axis=0)).all()
+    assert (np.abs(rk4(rate, x[:-1], H) - x[1:])[:, :m].max(axis=0) < EXACT * np.abs(x[:, :m]).max(axis=0)).all()
     for name, cells in reached.items():
         assert cells == tuple({*range(len(knots) + 1)} for knots in (ROWS[name].d, ROWS[name].v)), "every regime is reached"
 
@@ -557,7 +683,10 @@ HARDEST = [case for case in SINGLE if case[1] == "over travel" or case == (("adj
 
 @pytest.mark.parametrize(("names", "ratio"), [*HARDEST, *attacks(case for case in SINGLE if case not in HARDEST)], ids=label)
 def test_a_run_is_an_independent_integration(names, ratio):
-    """A quarter-car moves as its laws by an integration to 1e-11, but for RK4's error: h^4, or h^2 where a law has a knot."""
+    """A quarter-car moves as its laws by an integration to 1e-11, but for RK4's error: h^4, h^2 where a law has a knot, or h.
+
+    The force of an inertial part jumps with the slope of the motion ratio.
+    """
     (law,), errors = laws("quarter_car", names, ratio), []
     knots = [lambda d, v, k=k: law.travel(d)[1] - k for name in names for k in ROWS[name].d]
     knots += [lambda d, v, k=k: law.travel(d)[0] * v - k for name in names for k in ROWS[name].v]
@@ -565,11 +694,11 @@ def test_a_run_is_an_independent_integration(names, ratio):
     for h in (4e-3, 2e-3):
         on, physics = driven("quarter_car", names, ratio, h=h)
         run = physics.run(0)
-        expected = integrated(on, law, knots, *acting(on, run))
+        expected = integrated(on, law, knots, *acting(on, run), law.inertance)
         found = np.stack([run["suspension_deflection"], run["tyre_deflection"]], axis=-1)
         errors.append(float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max()))
     assert errors[0] < 2e-3
-    assert errors[1] < 2e-3 / 4
+    assert errors[1] < 2e-3 / (2 if law.inertance(0.0) else 4)
     assert ratio == "over travel" or ROWS[names[0]].d or ROWS[names[0]].v or errors[1] < errors[0] / 15, "no knot: order 4"
 
 
@@ -599,6 +728,66 @@ def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     for own, one in zip(together, inputs, strict=True):
         assert np.array_equal(own, simulate([held(kind)], [one]).response.values[0])
     assert not np.array_equal(together[0], together[2])
+
+
+OMEGA = np.geomspace(0.1, 1e3, 40)  # rad/s
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_a_maxwell_element_has_its_complex_stiffness(ratio):
+    """At each frequency the pull per deflection is r^2 k j w c / (k + j w c), with the stiffness k and damping c of the file."""
+    one = next(one for one in car("half_car", ("Maxwell element",), ratio).parts if one.states)
+    r, line, s = ratios_at(ratio, "_front")[1], one.part.line, 1j * OMEGA
+    rates, of_travel = line.rates[0, 0], line.rates[0, 1] + s * line.rates[0, 2]
+    r_at_rest = np.interp(0.0, *ratios_at(ratio, "_front")) if len(r) > 1 else r[0]
+    found = line.stiffness + s * line.damping + line.of_states[0] * of_travel / (s - rates)
+    np.testing.assert_allclose(found, r_at_rest**2 * 6e4 * s * 1500.0 / (6e4 + s * 1500.0), rtol=1e-9)
+
+
+def test_the_poles_of_a_quarter_car_with_a_maxwell_element():
+    """Poles are the roots of the determinant of the equations of motion, with the complex stiffness written out here."""
+    p, k, c = read_vehicle("quarter_car").parameters, 6e4, 1500.0
+    m_s, m_u, k_s, c_s, k_t = (
+        p[name] for name in ("sprung_mass", "unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+    )
+    text = f'{read_vehicle("quarter_car").text}\n[parts.mount]\nkind = "maxwell"\nstiffness = {k}\ndamping = {c}\n'
+    s = np.polynomial.Polynomial([0.0, 1.0])
+    strut = (k_s + c_s * s) * (k + c * s) + k * c * s  # times k + c s, as all else
+    determinant = (m_s * m_u * s**4 + k_t * m_s * s**2) * (k + c * s) + strut * ((m_s + m_u) * s**2 + k_t)
+    poles = np.linalg.eigvals(parse_vehicle(text).linear_model.A)
+    for root in determinant.roots():
+        assert np.abs(poles - root).min() < 1e-9 * np.abs(root)
+    assert len(poles) == 5
+    assert parse_vehicle(text).linear_model.states[-1] == "mount_extension", "which state feedback measures"
+
+
+@pytest.mark.slow
+def test_own_states_are_measured_logged_and_replayed(tmp_path, capsys):
+    """A law that names the state of an element measures it in MuJoCo; the run agrees, and its log replays with this verdict."""
+    text = read_vehicle("quarter_car").text + '\n[parts.mount]\nkind = "maxwell"\nstiffness = 6e4\ndamping = 1500.0\n'
+    text += '[controllers.mount]\nmeasured = ["sprung_velocity", "mount_extension"]\ngain = [[-1000.0, 20000.0]]\n'
+    (tmp_path / "car.toml").write_text(text, encoding="utf-8")
+    options = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "mount", "--duration", "0.3", "--json"]
+    assert bump([*options, "--logs", str(tmp_path / "logs")]) == 0
+    (log,) = (tmp_path / "logs").rglob("*.mcap")
+    assert inspect([str(log)]) == 0
+    assert "mount_extension" in capsys.readouterr().out
+
+
+def test_a_state_that_is_too_fast_for_the_timestep():
+    """A stiff mount whose state is faster than RK4 bears is refused in a line with its section, before the run."""
+    text = read_vehicle("quarter_car").text + '\n[parts.mount]\nkind = "maxwell"\nstiffness = 1e6\ndamping = 100.0\n'
+    with pytest.raises(InputError, match=r"because a state of \[parts.mount\] has a rate of 1e\+04 1/s; give a smaller"):
+        sample_times(parse_vehicle(text), 1.0, 1e-3)
+
+
+def test_the_name_of_a_state_is_free():
+    """An element whose state would have the name of another signal is refused."""
+    text = read_vehicle("quarter_car").text + '\n[parts.suspension]\nkind = "bouc_wen"\nstiffness = 1e4\nshare = 0.2\n'
+    assert parse_vehicle(text + "beta = 1.0\ngamma = 1.0\n").kind.of_parts[0].name == "suspension_hysteresis"
+    kind = read_vehicle("quarter_car").kind
+    with pytest.raises(InputError, match=re.escape("has the state 'suspension_deflection', which is the name of another signal")):
+        kind.with_states((kind.signal("suspension_deflection"),))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -657,7 +846,7 @@ def test_a_kink_at_rest_is_found():
             "at = 'fornt' is not a suspension or an axle of this vehicle; it has",
         ),
         ('[parts.sprung_mass]\nkind = "hydraulic_stop"', "[parts.sprung_mass] has the name of a parameter; give"),
-        ('[parts.x]\nkind = "hydraulic"', "[parts.x] kind = 'hydraulic' is unknown; give one of hydraulic_stop"),
+        ('[parts.x]\nkind = "hydraulic"', "[parts.x] kind = 'hydraulic' is unknown; give one of "),
         ("[parts]\nx = 3", "[parts] x is not a section; write [parts.NAME] with kind"),
     ],
 )

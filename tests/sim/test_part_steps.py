@@ -1,5 +1,8 @@
 """Steps of MuJoCo with parts that have their own states, inputs and inertia, against equations that are written out here."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
 from typing import Any
 
 import mujoco
@@ -20,12 +23,15 @@ class Toy(SuspensionForces):
     """A hysteretic and a cubic force with one state on each suspension, a share of the actuators' forces, and an inerter."""
 
     def __init__(self, inertance: np.ndarray | None, count: int, suspensions: int) -> None:
-        self.inertance, self.states = inertance, suspensions
+        self.b, self.inertial, self.states = inertance, inertance is not None, suspensions
         self.size = 1.0 + np.arange(count * suspensions).reshape(count, suspensions) / 4
 
     def __call__(self, d, v, inputs, z: Any = None):
         share = 0.2 * inputs if inputs.shape == d.shape else 0.0
         return self.size * (2e4 * z + 4e6 * d**3) - share
+
+    def inertance(self, d):
+        return self.b
 
     def rates(self, d, v, inputs, z):
         return self.rate(v, z)

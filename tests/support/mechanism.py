@@ -67,8 +67,8 @@ def static_loads(vehicle: Vehicle) -> np.ndarray:
 class Mechanism:
     """Car of c corners whose body has k of heave, pitch and roll."""
 
-    def __init__(self, vehicle: Vehicle, forces: Forces) -> None:
-        """Takes the forces at the wheels: all of a suspension but the load that it carries at rest."""
+    def __init__(self, vehicle: Vehicle, forces: Forces, inertance: Callable | None = None) -> None:
+        """Takes the forces at the wheels: all of a suspension but the load that it carries at rest, and inertances by d."""
         p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
 
         def each(name):
@@ -94,6 +94,7 @@ class Mechanism:
         self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
         self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
         self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
+        self.inertance = inertance
 
     def angles(self, q):
         """Returns pitch and roll, shapes (T,)."""
@@ -152,7 +153,14 @@ class Mechanism:
             pull[:, i] = k * lengths[:, i]
         bias = np.einsum("tijk,tj,tk->ti", dM, rates, rates) - np.einsum("tjki,tj,tk->ti", dM, rates, rates) / 2
         push = loads - np.einsum("tij,ti->tj", J, pull) - bias - jacobian(self.potential, q)
-        return np.concatenate([rates, np.linalg.solve(self.masses(q), push[..., None])[..., 0]], axis=1)
+        masses = self.masses(q)
+        if self.inertance is not None:
+            b, turning = self.inertance(lengths[:, :c]), np.zeros((len(q), c))
+            for side in (1e-5, -1e-5):  # s along the present motion, for J' q'
+                turning += np.einsum("tij,tj->ti", jacobian(self.lengths, q + side * rates)[:, :c], rates) / (2 * side)
+            push -= np.einsum("tij,ti->tj", J[:, :c], b * turning)
+            masses = masses + np.einsum("tij,ti,tik->tjk", J[:, :c], b, J[:, :c])
+        return np.concatenate([rates, np.linalg.solve(masses, push[..., None])[..., 0]], axis=1)
 
     def linearised(self, modes):
         """Returns A, B, Bw and Br of the states (d, modes t, body's rates, hubs' rates), by differences of order 6."""
@@ -190,29 +198,33 @@ def acting(on: RoadInput, run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return u, u[:-1] + np.diff(u, axis=0) / np.where(lag, gone, np.inf), lag
 
 
-def integrated(on: RoadInput, force, knots, u, commands, lag) -> np.ndarray:
+def integrated(on: RoadInput, force, knots, u, commands, lag, inertance=lambda d: 0.0) -> np.ndarray:
     """Deflections of suspension and tyre of a quarter-car, shape (T, 2), by DOP853, started again at each knot of a law.
 
     Road and commands are held over each step, as MuJoCo has them; inputs follow with their lag.
 
     Args:
-        force: pull at the wheel [N] by deflection, its rate and the input.
+        force: pull at the wheel [N] by deflection, its rate, the input and states of its own, and their `rates`.
         knots: functions of deflection and its rate, each 0 where the force has a knot.
         u, commands, lag: see `acting`.
+        inertance: b by deflection [kg].
     """
     p, h = on.vehicle.parameters, on.timestep
     static = (p["sprung_mass"] + p["unsprung_mass"]) * G / p["tyre_stiffness"]
 
     def rate(since, x):
         held = to + (begin - to) * np.exp(-lag[0] * since)
-        f, t = float(force(x[0] - x[1], x[2] - x[3], held)), x[1] - road
-        return [x[2], x[3], -f / p["sprung_mass"], (f - p["tyre_stiffness"] * min(t, static)) / p["unsprung_mass"]]
+        d, v, z = x[0] - x[1], x[2] - x[3], x[4:]
+        f, b, t = float(force(d, v, held, z)), float(inertance(d)), x[1] - road
+        masses = np.diag([p["sprung_mass"], p["unsprung_mass"]]) + b * np.array([[1, -1], [-1, 1]])
+        rates = np.linalg.solve(masses, [-f, f - p["tyre_stiffness"] * min(t, static)])
+        return [x[2], x[3], *rates, *force.rates(d, v, z)]
 
     events = [lambda _, x: x[1] - road - static]
     events += [lambda _, x, knot=knot: float(knot(x[0] - x[1], x[2] - x[3])) for knot in knots]
     for event in events:
         vars(event)["terminal"] = True
-    x, found = np.zeros(4), []
+    x, found = np.zeros(4 + len(on.vehicle.kind.of_parts)), []
     for k in range(len(u)):
         road, begin, to = on.midway[k, 0], u[k, 0], commands[min(k, len(commands) - 1), 0]
         found.append([x[0] - x[1], x[1] - on.heights[k, 0]])

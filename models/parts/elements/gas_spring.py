@@ -38,7 +38,9 @@ class GasSpring(Part, Section):
     area: Annotated[float, SI("m2", "A, area of the piston", 1e-6, 1.0)]
     volume: Annotated[float, SI("m3", "V_0, volume of the gas at rest", 1e-7, 10.0)]
     load: Annotated[float, SI("N", "W, force that the gas carries at rest; instead of pressure", 0.0, 1e7)] | None = None
-    pressure: Annotated[float, SI("Pa", "pressure of the gas at rest above the atmosphere's; instead of load", 0.0, 1e9)] | None = None
+    pressure: (
+        Annotated[float, SI("Pa", "pressure of the gas at rest above the atmosphere's; instead of load", 0.0, 1e9)] | None
+    ) = None
     exponent: Annotated[float, SI("", "n, polytropic exponent: 1 for slow motion, 1.4 for fast motion", 1.0, 2.0)] = 1.3
     temperature: Annotated[float, SI("K", "temperature of the gas, at the same load and ride height", 150.0, 600.0)] = USUAL
     volume_temperature: Annotated[float, SI("K", "temperature at which the volume is that of the file", 150.0, 600.0)] = USUAL
@@ -48,9 +50,10 @@ class GasSpring(Part, Section):
             raise InputError("needs either load, the force that the gas carries at rest, or pressure; give one of both")
 
     @property
-    def carried(self) -> Number:
-        """The force at rest [N]."""
-        return self.pressure * self.area if self.load is None else self.load  # pyright: ignore[reportOptionalOperand]
+    def whole(self) -> Number:
+        """The force of the gas at rest with that of the atmosphere [N]."""
+        load = self.pressure * self.area if self.load is None else self.load  # pyright: ignore[reportOptionalOperand]
+        return load + ATMOSPHERE * self.area
 
     @property
     def column(self) -> Number:
@@ -62,24 +65,24 @@ class GasSpring(Part, Section):
         """Deflection up to which the curve is drawn [m]."""
         return float(DRAWN * np.min(self.column))
 
-    def _narrowing(self, d: Array) -> Array:
-        """Returns the logarithm of the volume over that at rest."""
-        return np.log(np.maximum(1 + d / self.column, NARROWEST))
+    def _inside(self, d: Array) -> Array:
+        """Returns the deflections down to the narrowest volume [m], at which the pressure stays."""
+        return np.maximum(d, (NARROWEST - 1) * self.column)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.pull`: W - (p - p_a) A = -(W + p_a A) ((V_0 / V)^n - 1)."""
-        return -(self.carried + ATMOSPHERE * self.area) * np.expm1(-self.exponent * self._narrowing(d))
+        return -self.whole * np.expm1(-self.exponent * np.log1p(self._inside(d) / self.column))
 
     def stored(self, d: Array, z: Any = None) -> Array:
         """See `Part.stored`: the energy of the gas, less the work of the load and of the atmosphere."""
-        narrowing, m = self._narrowing(d), np.maximum(self.exponent - 1, 1e-12)
-        whole = self.carried + ATMOSPHERE * self.area
-        return whole * (d + self.column * np.expm1(-m * narrowing) / m)
+        inside, m = self._inside(d), np.maximum(self.exponent - 1, 1e-12)
+        stored = self.whole * (inside + self.column * np.expm1(-m * np.log1p(inside / self.column)) / m)
+        return stored + self.pull(d, np.zeros(())) * (d - inside)
 
     @cached_property
     def line(self) -> Line:
         """See `Part.line`: n p_0 A^2 / V_0."""
-        return Line(self.exponent * (self.carried + ATMOSPHERE * self.area) / self.column)
+        return Line(self.exponent * self.whole / self.column)
 
     @property
     def words(self) -> str:

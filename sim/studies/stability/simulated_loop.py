@@ -44,8 +44,9 @@ class Trial:
 class SimulatedLoop:
     """Loop from sample to sample, x[k+1] = Phi x[k] + Gamma v[k-delay] and v[k] = G x[k].
 
-    Its state x has positions and velocities, lagging forces, acting forces, states of the second controller, states of the
-    controller, and, for a delay with a fraction of a sample, the force that acts at the start of a sample.
+    Its state x has positions, velocities and own states of parts, lagging forces, acting forces, states of the second
+    controller, states of the controller, and, for a delay with a fraction of a sample, the force that acts at the start of a
+    sample.
 
     Attributes:
         Phi: shape (n, n).

@@ -1,0 +1,43 @@
+"""Maxwell element: a spring in series with a damper, as of a top mount, or of a damper in elastic bushings.
+
+With the extension x of the spring, and v - x' the velocity of the damper, both have the same force,
+
+    F = k x = c (v - x').
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.schema import SI, Section
+from models.kinds.signals import Signal
+from models.parts.part import Part
+
+
+@dataclass(frozen=True)
+class Maxwell(Part, Section):
+    """Spring in series with a damper."""
+
+    states = (Signal("extension", "x", "m", "extension of the spring in series with a damper"),)
+
+    stiffness: Annotated[float, SI("N/m", "k, stiffness of the spring")]
+    damping: Annotated[float, SI("N s/m", "c, damping of the damper in series with it")]
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return self.stiffness * z[..., 0]
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return (v - self.stiffness / self.damping * z[..., 0])[..., None]
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        return self.stiffness * np.square(z[..., 0]) / 2
+
+    @property
+    def bent(self) -> bool:
+        return False
+
+    @property
+    def words(self) -> str:
+        return "a spring in series with a damper"
