@@ -60,7 +60,7 @@ class Row:
         file: (factor on its forces, fault of one number) -> its value or keys in the file.
         law: pull [N] by own extension, its rate and the input, (d, v, u) -> arrays; of a part with a state (d, v, z) -> arrays.
         d, v: knots of the law over extension and rate.
-        line: extensions and rates within which it follows its line, either way; None if it bends at rest.
+        line: extensions and rates within which it follows its line, either way; None if it bends everywhere, or at rest.
         known: forces from outside the project, as sections of the file and points (d, v, u, pull), or (d, v, u, pull, z) at which
             the state z stays.
         rate: z' of a part with a state, (d, v, z) -> arrays.
@@ -224,6 +224,15 @@ ROWS = {
         known=(  # the largest hysteretic force, after Wen (1976)
             '[parts.own]\nkind = "bouc_wen"\nstiffness = 1e4\nshare = 0.2\nbeta = 60.0\ngamma = 40.0',
             [(0.1, 0.3, 0, 200 + 80.0, 0.01), (-0.1, -9.0, 0, -200 - 80.0, -0.01)],
+        ),
+    ),
+    "gas spring": Row(
+        "gas_spring", "element",
+        lambda s, e: f"load = {900.0 * s}\narea = {1e-3 * s}\nvolume = {6e-4 * s}\nexponent = {1.3 * e}",
+        lambda d, v, u: -(900.0 + 101.325) * ((1 + d / 0.6) ** -1.3 - 1),
+        known=(  # Boyle's law: at half and at twice the volume of 6 bar in all
+            '[parts.own]\nkind = "gas_spring"\npressure = 498675.0\narea = "20 cm2"\nvolume = "0.6 l"\nexponent = 1.0',
+            [(-0.15, 0.0, 0, -1200.0), (0.3, 0.0, 0, 600.0), (0.0, 1.0, 0, 0.0)],
         ),
     ),
     "inerter": Row(
