@@ -122,7 +122,7 @@ class Part(ABC):
 
         Args:
             d, v: extension of the suspension [m] and its rate [m/s], shape (...).
-            z: its n states, shape (..., n).
+            z: n states of its own, shape (..., n).
             u: input, shape (...).
         """
 

@@ -24,7 +24,7 @@ TABLE = """
 what all commands share: files, options, checks, tables of numbers   2951   2110      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5181   1837    266
+vehicle file, types, equations, MJCF                           5274   1837    266
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
@@ -44,7 +44,7 @@ semi-active dampers and laws                                   1065    755    14
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3063   2176     88
+curves of dampers and springs, statistical linearisation       3171   2176    123
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -53,10 +53,10 @@ curves of dampers and springs, statistical linearisation       3063   2176     8
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    194      0
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          1309   1087      0
+parts of a suspension                                          1569   1336      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
-    tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/{__init__,hydraulic_stop}.py
+    tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py tests/support/bouc_wen.py
 loads, links, tyre damping                                      744   1532     52
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
@@ -108,7 +108,7 @@ plant algebra, filters, any plant                              2387   1794    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3356    614    152
+synth command, controller record, designer                     3371    614    152
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,open_loop,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py
@@ -126,7 +126,7 @@ campaigns                                                      2520   1542    16
 gallery of papers                                               733    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2616    916     75
+margins in physics                                             2618    916     75
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1869    554     37
@@ -137,13 +137,13 @@ ride metrics and their expectation                             2253   1206      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                1206    369     33
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    1874    920     17
+MuJoCo loop                                                    1912    920     17
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                                977    370      0
+linear responses                                                988    370      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3131    887     59
+runs, verdict, their text                                      3207    887     59
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1003    999    374

@@ -67,7 +67,8 @@ def test_every_key_is_used(cars, campaigns):
     used["bounds of a controller"] = keys([law.get("bounds") for law in laws])
     elements = [one for file in files for one in file.get("parts", {}).values()]
     used["[parts.NAME]"] = {key for one in elements for key in one}
-    used |= {f'[parts.NAME] with kind = "{one["kind"]}"': {*one} for one in elements}
+    for one in elements:
+        used.setdefault(f'[parts.NAME] with kind = "{one["kind"]}"', set()).update(one)
     used["a campaign file"] = used["[samples] of a campaign file"] = keys(campaigns)
     documented = {section: {key for key, _, _ in rows} | MORE.get(section, set()) for section, rows in key_sections().items()}
     missing = {section: sorted(every - used[section] - OF_FMUS) for section, every in documented.items()}

@@ -203,7 +203,7 @@ GOOD = {
     "force stiffness damping ratio stem joint",
     "-1": "height depth amplitude factor index",
     "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
-    "names measured noise bounds family heights Bt Dw people",
+    "names measured noise bounds family heights Bt Dw people of_parts",
 }
 # By what the text has, or by the parameter that a value is of.
 NAMED_OTHERWISE = {
