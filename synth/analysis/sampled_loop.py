@@ -32,10 +32,11 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
+from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant, check_states
+from synth.plant.loop import HoldInterval, hold_intervals
 
 SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
 TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
@@ -170,27 +171,6 @@ def _root(matrix: Array) -> Array:
     unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
     return unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class HoldInterval(Checked):
-    """A part of the period in which one force is held.
-
-    Attributes:
-        duration: duration of the interval [s].
-        late: number of samples by which the acting force is delayed.
-    """
-
-    duration: PositiveTime
-    late: Index
-
-
-def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
-    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
-    late = math.floor(delay)
-    share = delay - late
-    pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
-    return tuple(HoldInterval(part * period, samples) for part, samples in pieces)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,98 @@
+"""The loop of a vehicle and its controller, by names: the one place that knows what acts on a vehicle, and what it shows.
+
+In continuous time the disturbances are the road's velocities (`road_velocity`), its heights (`road_velocity.height`), and loads.
+
+A sampled loop holds them over every step. Its states are xi = x - J z_r, as they do not jump where a held road does,
+
+    xi' = A xi + B u + (A J + Br) z_m + Bh f,    signals = C xi + D u + (C J + Cr) z_r + Dh f_s,
+
+with z_m the height midway (`.midway`) and z_r that at the sample (`.height`). The loads and, if tyres damp, the road's mean
+velocities are f over a step (`.held`), f_s in signals (`.signal`) and f_r in readings (`.read`), which have noise (`.noise`).
+
+Outputs are the vehicle's signals, the readings (`body_acceleration.read`) and the forces that the actuators are given (`.held`).
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import error_in
+from models.kinds.linear_model import LinearModel
+from models.vehicle.limits_and_implementation import steps_held
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.plant.loop import HoldInterval, Loop
+from synth.plant.state_space import StateSpace
+
+HEIGHT, MIDWAY, HELD, SIGNAL, READ, NOISE = ".height", ".midway", ".held", ".signal", ".read", ".noise"
+
+
+def with_lag(vehicle: Vehicle) -> LinearModel:
+    """Returns the linear model with its actuators' lag, if they have one: then the acting forces are its last states."""
+    return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
+
+
+def named(names: Iterable[str], ending: str) -> tuple[str, ...]:
+    """Returns names with an ending."""
+    return tuple(f"{name}{ending}" for name in names)
+
+
+def pushes(model: LinearModel) -> tuple[str, ...]:
+    """Returns the names of what is held over a step beside the road's heights: loads and, if tyres damp, road velocities."""
+    return (*model.loads, *(model.disturbances if model.tyres_damp else ()))
+
+
+def loop_of(
+    vehicle: Vehicle,
+    controller: Controller,
+    timestep: float | None = None,
+    exponential: Callable[[Array], Array] = linalg.expm,
+) -> Loop:
+    """Returns the loop of a vehicle, with its actuators' lag and, sampled, as `[implementation]` has it.
+
+    Args:
+        controller: linear controller; its preview is a known force.
+        timestep: timestep of the run [s]; None for continuous time without delay.
+        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
+
+    Raises:
+        InputError: the sample period or the delay is not a multiple of the timestep, or the law cannot be sampled.
+    """
+    model = with_lag(vehicle)
+    rows, measured = [model.outputs.index(name) for name in controller.measured], named(controller.measured, READ)
+    if timestep is None:
+        law, hold = controller.law.continuous(), ()
+        inputs = [
+            (model.inputs, model.B, model.D, model.D),
+            (model.disturbances, model.Bw, model.Dw, model.Dw),
+            (named(model.disturbances, HEIGHT), model.Br, model.Cr, model.Cr),
+            (model.loads, model.Bl, model.Dl, model.Dl),
+        ]
+    else:
+        hold = tuple(HoldInterval(steps * timestep, late) for steps, late in steps_held(vehicle.implementation, timestep))
+        with error_in(f"controller {controller.name!r}:"):
+            law = controller.law.sampled(sum(part.duration for part in hold))
+        shown, acts = model.C @ model.jump + model.Cr, pushes(model)
+        inputs = [
+            (model.inputs, model.B, model.D, model.D),
+            (named(model.disturbances, MIDWAY), model.A @ model.jump + model.Br, 0 * shown, 0 * shown),
+            (named(model.disturbances, HEIGHT), 0 * model.Br, shown, shown),
+            (named(acts, HELD), model.Bh, 0 * model.Dh, 0 * model.Dh),
+            (named(acts, SIGNAL), 0 * model.Bh, model.Dh, 0 * model.Dh),
+            (named(acts, READ), 0 * model.Bh, 0 * model.Dh, model.Dh),
+        ]
+    names, B, D, D_read = zip(*inputs, strict=True)
+    plant = StateSpace(
+        model.A,
+        np.hstack(B),
+        np.vstack([model.C, model.C[rows], np.zeros_like(model.B.T)]),
+        np.vstack([np.hstack(D), np.hstack(D_read)[rows], np.eye(len(model.inputs), sum(len(one) for one in names))]),
+        sum(names, ()),
+        (*model.outputs, *measured, *named(model.inputs, HELD)),
+    )
+    noise = np.zeros((len(plant.outputs), len(measured)))
+    noise[plant.rows(measured)] = np.eye(len(measured))
+    plant = plant.with_inputs(named(controller.measured, NOISE), np.zeros((len(model.A), len(measured))), noise)
+    return Loop(plant, law, measured, model.inputs, hold, timestep, exponential)
