@@ -12,7 +12,7 @@ velocities are f over a step (`.held`), f_s in signals (`.signal`) and f_r in re
 Outputs are the vehicle's signals, the readings (`body_acceleration.read`) and the forces that the actuators are given (`.held`).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from scipy import linalg
@@ -22,6 +22,7 @@ from models.common.errors import error_in
 from models.kinds.linear_model import LinearModel
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
+from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import StateSpace
@@ -60,39 +61,59 @@ def loop_of(
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep, or the law cannot be sampled.
     """
+    hold = ()
+    if timestep is not None:
+        hold = tuple(HoldInterval(steps * timestep, late) for steps, late in steps_held(vehicle.implementation, timestep))
+    with error_in(f"controller {controller.name!r}:"):
+        law = controller.law.sampled(sum(part.duration for part in hold)) if hold else controller.law.continuous()
+    plant, measured = plant_of(vehicle, controller.measured, bool(hold)), named(controller.measured, READ)
+    return Loop(plant, law, measured, vehicle.linear_model.inputs, hold, timestep, exponential)
+
+
+def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = False) -> StateSpace:
+    """Returns the plant of `loop_of`: from forces and disturbances to signals, readings and the given forces.
+
+    Args:
+        measured: names of the measured signals.
+        sampled: True for disturbances that are held over steps.
+
+    Raises:
+        InputError: the vehicle does not have a measured signal.
+    """
     model = with_lag(vehicle)
-    rows, measured = [model.outputs.index(name) for name in controller.measured], named(controller.measured, READ)
-    if timestep is None:
-        law, hold = controller.law.continuous(), ()
+    C, _ = model.rows(measured)
+    rows = [model.outputs.index(name) for name in measured]
+    if sampled:
+        jump, held = model.C @ model.jump + model.Cr, pushes(model)
+        inputs = [
+            (model.inputs, model.B, model.D, model.D),
+            (named(model.disturbances, MIDWAY), model.A @ model.jump + model.Br, 0 * jump, 0 * jump),
+            (named(model.disturbances, HEIGHT), 0 * model.Br, jump, jump),
+            (named(held, HELD), model.Bh, 0 * model.Dh, 0 * model.Dh),
+            (named(held, SIGNAL), 0 * model.Bh, model.Dh, 0 * model.Dh),
+            (named(held, READ), 0 * model.Bh, 0 * model.Dh, model.Dh),
+        ]
+    else:
         inputs = [
             (model.inputs, model.B, model.D, model.D),
             (model.disturbances, model.Bw, model.Dw, model.Dw),
             (named(model.disturbances, HEIGHT), model.Br, model.Cr, model.Cr),
             (model.loads, model.Bl, model.Dl, model.Dl),
         ]
-    else:
-        hold = tuple(HoldInterval(steps * timestep, late) for steps, late in steps_held(vehicle.implementation, timestep))
-        with error_in(f"controller {controller.name!r}:"):
-            law = controller.law.sampled(sum(part.duration for part in hold))
-        shown, acts = model.C @ model.jump + model.Cr, pushes(model)
-        inputs = [
-            (model.inputs, model.B, model.D, model.D),
-            (named(model.disturbances, MIDWAY), model.A @ model.jump + model.Br, 0 * shown, 0 * shown),
-            (named(model.disturbances, HEIGHT), 0 * model.Br, shown, shown),
-            (named(acts, HELD), model.Bh, 0 * model.Dh, 0 * model.Dh),
-            (named(acts, SIGNAL), 0 * model.Bh, model.Dh, 0 * model.Dh),
-            (named(acts, READ), 0 * model.Bh, 0 * model.Dh, model.Dh),
-        ]
     names, B, D, D_read = zip(*inputs, strict=True)
+    given = np.eye(len(model.inputs), sum(len(one) for one in names))
     plant = StateSpace(
         model.A,
         np.hstack(B),
-        np.vstack([model.C, model.C[rows], np.zeros_like(model.B.T)]),
-        np.vstack([np.hstack(D), np.hstack(D_read)[rows], np.eye(len(model.inputs), sum(len(one) for one in names))]),
+        np.vstack([model.C, C, np.zeros_like(model.B.T)]),
+        np.vstack([np.hstack(D), np.hstack(D_read)[rows], given]),
         sum(names, ()),
-        (*model.outputs, *measured, *named(model.inputs, HELD)),
+        (*model.outputs, *named(measured, READ), *named(model.inputs, HELD)),
     )
-    noise = np.zeros((len(plant.outputs), len(measured)))
-    noise[plant.rows(measured)] = np.eye(len(measured))
-    plant = plant.with_inputs(named(controller.measured, NOISE), np.zeros((len(model.A), len(measured))), noise)
-    return Loop(plant, law, measured, model.inputs, hold, timestep, exponential)
+    noise = np.eye(len(plant.outputs), len(measured), -len(model.outputs))
+    return plant.with_inputs(named(measured, NOISE), np.zeros((len(model.A), len(measured))), noise)
+
+
+def radius(loop: Loop) -> float:
+    """Returns the growth per timestep of a sampled loop: above 1 it is unstable, at exactly 1 marginal."""
+    return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))

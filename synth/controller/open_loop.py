@@ -27,6 +27,7 @@ from models.vehicle.limits_and_implementation import Implementation, steps_held,
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
+from synth.controller.loop_of import with_lag
 from synth.plant.discrete import held_inputs
 
 
@@ -164,11 +165,6 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
         inputs=(*model.inputs, *(f"rate_of_{name}" for name in names)),
     )
     return OpenLoop(larger, G, hold, reading, m)
-
-
-def with_lag(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model with its actuators' lag, if they have one: then the acting forces are its last states."""
-    return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
 @dataclass(frozen=True, eq=False)

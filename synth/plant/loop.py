@@ -274,7 +274,7 @@ def _turn(loop: Loop, omega: Array) -> Array:
 
 def _by_step(
     loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array
-) -> tuple[StateSpace, list, list, Array]:
+) -> tuple[StateSpace, list[Array], list[Array], Array]:
     """Returns the plant from forces and driven disturbances, and over exp(j omega t): its states and forces by step, and d."""
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -326,8 +326,10 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
     before = [u[-1] / turn, *(one / turn for one in u[:-1])]  # u[-1] is over exp(j omega t), so of the previous period, too
-    values = [(plant.C @ x_i + plant.D @ np.concatenate([u_i, d], axis=1)) * turn**i for i, (x_i, u_i) in enumerate(zip(x, u))]
-    jumps = [through @ (now - last) * turn**i for i, (now, last) in enumerate(zip(u, before, strict=True))]
+    values, jumps = [], []
+    for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):
+        values.append((plant.C @ state + plant.D @ np.concatenate([now, d], axis=1)) * turn**i)
+        jumps.append(through @ (now - last) * turn**i)
     return np.stack([*values, values[0] * turn ** len(u)]), np.stack(jumps)
 
 
