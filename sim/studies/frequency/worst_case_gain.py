@@ -30,7 +30,6 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import (
     WorstSinusoid,
-    leaps_by_step,
     sampled_frequency_response,
     sinusoid_gains,
     stepwise_frequency_response,
@@ -442,8 +441,9 @@ def _either_side(vehicle: Vehicle, controller: Controller, omega: Array, angle: 
     """Returns lines of z after leaps and before, by `_lines`, per disturbance under every wheel, shape (2 N p, L, r)."""
     positive, negative = np.abs(omega), (omega < 0)[:, None, None]
     shape = vehicle.road_shape(positive)[:, None, None]
-    after = shape * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
-    before = after - shape * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
+    values, leaps = stepwise_frequency_response(vehicle, controller, positive, h)
+    after = shape * np.swapaxes(values[:-1], 2, 3)
+    before = after - shape * np.swapaxes(leaps, 2, 3)
     sides = [vehicle.summed(z) for z in (after, before)]
     return np.concatenate([_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in sides])
 
