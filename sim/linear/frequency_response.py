@@ -27,7 +27,7 @@ from models.roads.spectrum import as_met
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements
 from synth.controller.controller import Controller
-from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, driven, loop_of, named
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
@@ -42,16 +42,8 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
         vehicle: p outputs, r wheels.
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
-    loop, model = loop_of(vehicle, controller), vehicle.linear_model
-    omega, each = np.asarray(omega, dtype=float), np.eye(len(model.disturbances))
-    velocities = np.broadcast_to(each, (len(omega), *each.shape))
-    drive = dict(zip(model.disturbances, np.moveaxis(velocities, 1, 0), strict=True))
-    if model.Br.any() or model.Cr.any():
-        heights = velocities / (1j * omega[:, None, None])
-        drive |= dict(zip(named(model.disturbances, HEIGHT), np.moveaxis(heights, 1, 0), strict=True))
-    if controller.preview is not None:
-        drive |= dict(zip(loop.forces, np.moveaxis(controller.preview.response(omega), 1, 0), strict=True))
-    return frequency_response(loop, model.outputs, drive, omega)
+    loop, model, omega = loop_of(vehicle, controller), vehicle.linear_model, np.asarray(omega, dtype=float)
+    return frequency_response(loop, model.outputs, driven(model, controller, omega), omega)
 
 
 def sampled_frequency_response(

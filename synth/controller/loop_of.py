@@ -64,10 +64,11 @@ def loop_of(
     hold = ()
     if timestep is not None:
         hold = tuple(HoldInterval(steps * timestep, late) for steps, late in steps_held(vehicle.implementation, timestep))
-    with error_in(f"controller {controller.name!r}:"):
-        law = controller.law.sampled(sum(part.duration for part in hold)) if hold else controller.law.continuous()
     plant, measured = plant_of(vehicle, controller.measured, bool(hold)), named(controller.measured, READ)
-    return Loop(plant, law, measured, vehicle.linear_model.inputs, hold, timestep, exponential)
+    loop = Loop(plant, controller.law, measured, vehicle.linear_model.inputs, hold, timestep, exponential)
+    with error_in(f"controller {controller.name!r}:"):
+        _ = loop.acting_law
+    return loop
 
 
 def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = False) -> StateSpace:
@@ -117,3 +118,18 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
 def radius(loop: Loop) -> float:
     """Returns the growth per timestep of a sampled loop: above 1 it is unstable, at exactly 1 marginal."""
     return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))
+
+
+def driven(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
+    """Returns the inputs of a continuous loop under roads of velocity exp(j omega t), one at each wheel, by name, (F, r) each.
+
+    Args:
+        omega: angular frequencies above 0 [rad/s], shape (F,).
+    """
+    each = np.eye(len(model.disturbances))
+    drive = {name: np.broadcast_to(row, (len(omega), len(each))) for name, row in zip(model.disturbances, each, strict=True)}
+    if model.Br.any() or model.Cr.any():
+        drive |= {f"{name}{HEIGHT}": drive[name] / (1j * omega[:, None]) for name in model.disturbances}
+    if controller.preview is not None:
+        drive |= dict(zip(model.inputs, np.moveaxis(controller.preview.response(omega), 1, 0), strict=True))
+    return drive

@@ -27,7 +27,7 @@ from models.common.arrays import Array, recursion
 from models.common.checks import Checked, Index, PositiveTime
 from models.laws.linear import LinearLaw
 from synth.plant.discrete import held_inputs
-from synth.plant.state_space import StateSpace
+from synth.plant.state_space import StateSpace, spectral_radius
 
 LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
 
@@ -59,7 +59,7 @@ class Loop:
 
     Attributes:
         plant: the plant; n states.
-        law: from the measured outputs to the forces: continuous, or discrete with the loop's period.
+        law: from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law sets.
         hold: parts of the sample period in order, each with the delay of its force; empty in continuous time.
@@ -76,6 +76,15 @@ class Loop:
     exponential: Callable[[Array], Array] = field(default=linalg.expm)
 
     @cached_property
+    def acting_law(self) -> LinearLaw:
+        """The law as it runs here: sampled at the period, or in continuous time.
+
+        Raises:
+            InputError: the law cannot be run so, see `LinearLaw`.
+        """
+        return self.law.sampled(self.period) if self.hold else self.law.continuous()
+
+    @cached_property
     def disturbances(self) -> tuple[str, ...]:
         """Names of the plant's other inputs."""
         return tuple(name for name in self.plant.inputs if name not in self.forces)
@@ -89,6 +98,16 @@ class Loop:
     def requested(self) -> tuple[str, ...]:
         """Names, among the outputs, of the forces that the law computes, without what adds to them."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
+
+    @property
+    def direct(self) -> Array:
+        """Gain from acting forces to requested ones at once, by measurements that contain forces, shape (m, m)."""
+        return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
+
+    @property
+    def direct_radius(self) -> float:
+        """Spectral radius of `direct`: from 1 on, a force that is sampled, or late by any time, grows through its own reading."""
+        return spectral_radius(self.direct)
 
     @property
     def period(self) -> float:
@@ -124,7 +143,7 @@ class Loop:
         those that are computed at a sample. Disturbances then are held over the period, and outputs are those just behind the
         sample.
         """
-        plant, law, m, p = self.plant, self.law, len(self.forces), self.stored_forces
+        plant, law, m, p = self.plant, self.acting_law, len(self.forces), self.stored_forces
         inputs = (*self.forces, *self.disturbances)
         names, columns, measured = (
             (*plant.outputs, *self.law_states, *self.requested),

@@ -63,6 +63,22 @@ class StateSpace:
         B, direct = self.B[:, columns], self.D[:, columns]
         return replace(self, A=self.A + B @ C, B=self.B + B @ D, C=self.C + direct @ C, D=self.D + direct @ D)
 
+    @property
+    def feedthrough_radius(self) -> float:
+        """Direct gain from the inputs of a cut loop through its outputs; from 1 on the closed loop has no delay margin."""
+        return spectral_radius(self.D)
+
+    def loop_matrix(self, factor: Array | complex) -> Array:
+        """Returns A of a cut loop that is closed by u = factor y, shape (..., n, n), for factors of any shape."""
+        factor = np.asarray(factor)[..., None, None]
+        if not np.any(self.D):
+            return self.A + factor * (self.B @ self.C)
+        return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
+
+    def response(self, at: Array) -> Array:
+        """Returns C (s - A)^-1 B + D at s, or at z of a system in discrete time, shape (F,); complex, shape (F, p, k)."""
+        return self.driven(at, np.broadcast_to(np.eye(len(self.inputs)), (len(at), len(self.inputs), len(self.inputs))))
+
     def driven(self, at: Array, amplitudes: Array) -> Array:
         """Returns the outputs under inputs that are multiples of exp(s t), or of z^k, complex, shape (F, p, c).
 
@@ -72,3 +88,8 @@ class StateSpace:
         """
         states = np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, self.B @ amplitudes)
         return self.C @ states + self.D @ amplitudes
+
+
+def spectral_radius(matrix: Array) -> float:
+    """Returns the largest magnitude of the eigenvalues of a square matrix; 0 for one without rows."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))

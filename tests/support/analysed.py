@@ -20,17 +20,20 @@ from sim.response.response import Response
 from sim.runs import prediction
 from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, SampledClosedLoop
+from synth.controller.loop_of import loop_of, radius
+from synth.plant.state_space import StateSpace
 
 Exponential = Callable[[Array], Array]
 
 
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
-    return LoopModel(vehicle, controller, timestep).radius
+    return radius(loop_of(vehicle, controller, timestep))
 
 
-def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledClosedLoop:
-    return LoopModel(vehicle, controller, timestep).closed_loop
+def cut_loop(vehicle: Vehicle, controller: Controller, timestep: float | None = None) -> StateSpace:
+    """The loop cut at all forces, in continuous time or sampled."""
+    loop = loop_of(vehicle, controller, timestep)
+    return loop.cut(loop.forces)
 
 
 def sampled_response(
