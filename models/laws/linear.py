@@ -78,6 +78,11 @@ class LinearLaw:
         return {name: getattr(self, name).tolist() for name in MATRICES} | given
 
     @property
+    def matrix(self) -> Array:
+        """[D, C; B, A], shape (m + k, q + k): from measurements and states to forces and rates, or next states."""
+        return np.block([[self.D, self.C], [self.B, self.A]])
+
+    @property
     def acts(self) -> bool:
         """True if some measurement ever makes a force."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))

@@ -13,7 +13,7 @@ If a damper or a spring has a curve, the response is that of RK4 (`sim.linear.st
 
 Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
 does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
-measured acceleration, make the vehicle larger (`synth/controller/open_loop.py`), and the formulas stay as they are.
+measured acceleration, make the state larger (`synth/plant/loop.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 

@@ -128,7 +128,7 @@ gallery of papers                                               733    343     4
     docs/explanation/verification.md
 margins in physics                                             2616    916     75
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
-    synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
+    synth/controller/{disk_margin,loop_transfer,stability_margins}.py
 frequency, sweep                                               1867    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2253   1206      0

@@ -8,7 +8,7 @@ from models.common.arrays import Array
 from models.kinds.signals import Signal, kept_signals, load_signal
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import with_lag
+from synth.controller.loop_of import with_lag
 
 
 @dataclass(frozen=True, eq=False)
