@@ -110,6 +110,7 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
         np.vstack([np.hstack(D), np.hstack(D_read)[rows], given]),
         sum(names, ()),
         (*model.outputs, *named(measured, READ), *named(model.inputs, HELD)),
+        states=model.states,
     )
     noise = np.eye(len(plant.outputs), len(measured), -len(model.outputs))
     return plant.with_inputs(named(measured, NOISE), np.zeros((len(model.A), len(measured))), noise)

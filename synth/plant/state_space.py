@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.linear import without_loop
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw, without_loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +19,35 @@ class StateSpace:
         B: shape (n, k).
         C: shape (p, n).
         D: shape (p, k).
-        inputs: names of the k inputs.
-        outputs: names of the p outputs.
+        inputs: names of the k inputs; empty for signals without names.
+        outputs: names of the p outputs; likewise.
         dt: time from one sample to the next [s]; None in continuous time.
+        states: names of the n states, or empty.
+
+    Raises:
+        InputError: a matrix does not fit the others.
     """
 
     A: Array
     B: Array
     C: Array
     D: Array
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
     dt: float | None = None
+    states: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, (p, k) = len(self.A), self.D.shape
+        for name, expected in (("A", (n, n)), ("B", (n, k)), ("C", (p, n))):
+            shape = getattr(self, name).shape
+            if shape != expected:
+                raise InputError(f"{name} has shape {shape}; expected {expected}, as A has {n} rows and D is {p} by {k}")
+
+    @classmethod
+    def of_law(cls, law: LinearLaw) -> "StateSpace":
+        """Returns a law, or a filter, as a system without names."""
+        return cls(law.A, law.B, law.C, law.D, dt=law.sample_period)
 
     def rows(self, outputs: Sequence[str]) -> list[int]:
         """Returns the positions of some outputs."""

@@ -22,7 +22,6 @@ from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Length, PositiveSpeed, Time
 from models.common.errors import InputError
 from models.laws.filter import Filter
-from models.laws.linear import LinearLaw
 from models.roads.road import RoadInput
 from models.roads.sinusoids import chirp
 from models.roads.spectrum import as_met
@@ -131,7 +130,7 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
 
 def _filtered(one: Filter, values: Array, period: float) -> Array:
     """Returns a signal through a filter, from rest."""
-    law = LinearLaw(*one.realisation).sampled(period)
+    law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # half a second
 
     return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
