@@ -275,7 +275,7 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
     if np.any(H):
         loops = np.eye(m) - H
         C, outside = np.linalg.solve(loops, np.broadcast_to(C, (len(z), m, n))), np.linalg.solve(loops, outside)
-    push = system.B[:n, columns] @ d + G @ outside
+    push = system.B[:n, columns] @ d + G @ outside.astype(complex)
     if len(loop.by_step) > 1:  # beyond disturbances that are held over the period
         Phi, Gamma = loop.held(loop.step or 0.0)
         change, more, turn = Gamma[:, columns] @ d, np.zeros_like(push[:, : len(loop.plant.A)]), _turn(loop, omega)
