@@ -126,8 +126,7 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
         InputError: a loop is unstable, or the controller has no gain.
     """
     from sim.linear.sampled_response import taylor4
-    from synth.controller.loop_transfer import loop_transfer
-    from synth.controller.open_loop import LoopModel
+    from synth.controller.loop_of import loop_of, radius
     from synth.controller.report import sign_note
 
     name, certificate = f"controller {controller.name!r}", controller.certificate
@@ -136,19 +135,19 @@ def _check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", 
     if not certificate.stable:
         why = f"its ideal loop is not stable ({certificate.stability.words})"
         raise InputError(f"{name} has no margin, because {why}; choose a stable controller{sign_note(controller)}")
-    times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
+    times = loop_of(vehicle, controller).direct_radius
     if times >= 1:
         raise InputError(
             f"{name} tolerates neither delay nor sampling: its measurements immediately contain {times:.4g} times its own force, "
             "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
         )
-    radius = LoopModel(vehicle, controller, timestep, taylor4).radius
-    if radius >= 1:
+    growth = radius(loop_of(vehicle, controller, timestep, taylor4))
+    if growth >= 1:
         raise InputError(
             f"{name} is not stable at a timestep of {timestep:g} s or with the lag of the actuators (motion grows by a factor of "
-            f"{radius:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
+            f"{growth:.6g} every step); give a smaller timestep or a larger actuator_bandwidth"
         )
-    if LoopModel(built, controller, timestep, taylor4).radius >= 1:
+    if radius(loop_of(built, controller, timestep, taylor4)) >= 1:
         why = f"its implemented loop is not stable ({', '.join(built.implementation.without_noise.phrases)})"
         raise InputError(f"{name} has no margin, because {why}; give a shorter sample_period or delay")
 

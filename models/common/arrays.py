@@ -1,8 +1,10 @@
-"""The array type of all signatures, and the check of matrices given by users.
+"""The array type of all signatures, the check of matrices given by users, and linear recursions.
 
 Shapes and units are in the docstrings; entries are float64 unless those say complex.
 """
 
+import itertools
+import math
 import sys
 
 import numpy as np
@@ -68,3 +70,24 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     if size > largest:
         raise InputError(f"{name} has an entry beyond {largest:g} in magnitude; use other units")
     return matrix, size
+
+
+def recursion(Phi: Array, forcing: Array) -> Array:
+    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
+
+    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
+    stretches from rest come first, side by side, and then what each adds to those behind it.
+    """
+    *runs, samples, n = forcing.shape
+    length = math.isqrt(samples) + 1
+    stretches = -(-samples // length)
+    padded = np.zeros((*runs, stretches * length, n))
+    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
+    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+        for k in range(1, length):
+            states[..., k, :] += states[..., k - 1, :] @ transposed
+        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
+        for i in range(1, stretches):
+            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
+    return padded[..., :samples, :]

@@ -19,14 +19,16 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, quoted
 from models.common.schema import HERE, SI, Choice, Listed, Section
+from models.laws.linear import LinearLaw
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
@@ -61,15 +63,6 @@ MOST = 12  # of a polynomial's degree: roots of higher ones move by more than ro
 SMALLEST, LARGEST = 1e-60, 1e60  # of a coefficient: those of degree 12 at the fastest pole
 SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; others are irrelevant to roads and cars
 LEAST, MOST_GAIN = 1e-12, 1e12  # of the peak gain: beyond these rounding decides
-
-
-class Realisation(NamedTuple):
-    """Filter as x' = A x + B v, e = C x + D v, shapes (k, k), (k, 1), (1, k), (1, 1)."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
 
 
 @dataclass(frozen=True)
@@ -111,7 +104,7 @@ class Filter:
         return above[-1] / below[-2] if self.integrates and not below[-1] else 0.0
 
     @functools.cached_property
-    def remainder(self) -> Realisation:
+    def remainder(self) -> LinearLaw:
         """States of the filter without its integral, F_0."""
         return self._states(self._remaining)
 
@@ -122,13 +115,13 @@ class Filter:
         return Filter(sections, self.name) if any(above) else None
 
     @functools.cached_property
-    def realisation(self) -> Realisation:
+    def realisation(self) -> LinearLaw:
         """States of all sections, one after another, in units that are powers of two; that of an integral is the last."""
         if not self.residue:
             return self._states(self.sections)
-        A, B, C, D = self.remainder
-        A = np.block([[A, np.zeros((len(A), 1))], [np.zeros((1, len(A) + 1))]])
-        return Realisation(A, np.vstack([B, [[1.0]]]), np.hstack([C, [[self.residue]]]), D)
+        rest = self.remainder
+        A = linalg.block_diag(rest.A, np.zeros((1, 1)))
+        return LinearLaw(A, np.vstack([rest.B, [[1.0]]]), np.hstack([rest.C, [[self.residue]]]), rest.D)
 
     @property
     def _remaining(self) -> tuple[Biquad, ...]:
@@ -141,13 +134,13 @@ class Filter:
         left = wide - self.residue * np.concatenate([[0.0], rest])
         return ((tuple(left[:-1].tolist()), rest),)
 
-    def _states(self, sections: tuple[Biquad, ...]) -> Realisation:
+    def _states(self, sections: tuple[Biquad, ...]) -> LinearLaw:
         A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
         for above, below in sections:
-            a, b, c, d = _controllable(above, below)
-            A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-            B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
-        return Realisation(A, B, C, D)
+            one = _controllable(above, below)
+            A = np.block([[A, np.zeros((len(A), one.states))], [one.B @ C, one.A]])
+            B, C, D = np.vstack([B, one.B @ D]), np.hstack([one.D @ C, one.C]), one.D @ D
+        return LinearLaw(A, B, C, D)
 
     @property
     def words(self) -> str:
@@ -248,24 +241,22 @@ def _decays(polynomial: Sequence[float]) -> bool:
     return True
 
 
-def _controllable(above: Sequence[float], below: Sequence[float]) -> Realisation:
+def _controllable(above: Sequence[float], below: Sequence[float]) -> LinearLaw:
     """Returns the controllable form of a section, with a unit of time from its poles, and balanced states."""
     k = len(below) - 1
     a = np.array(below) / below[0]
     b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]
     if not k:
-        return Realisation(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), b[:, None])
+        return LinearLaw(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), b[:, None])
     rate = np.exp2(np.round(np.log2(a[-1]) / k))
     powers = rate ** -np.arange(k + 1.0)
     a, b = a * powers, b * powers
     A = rate * np.vstack([-a[1:], np.eye(k)[:-1]])
     B, C = rate * np.eye(k)[:, :1], (b[1:] - b[0] * a[1:])[None]
     whole = np.block([[A, B], [C, np.zeros((1, 1))]])
-    from scipy import linalg
-
     _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     unit = scale[:k] / scale[k]
-    return Realisation(A / unit[:, None] * unit, B / unit[:, None], C * unit, b[:1, None])
+    return LinearLaw(A / unit[:, None] * unit, B / unit[:, None], C * unit, b[:1, None])
 
 
 def _text(polynomial: Sequence[float]) -> str:

@@ -78,6 +78,11 @@ class LinearLaw:
         return {name: getattr(self, name).tolist() for name in MATRICES} | given
 
     @property
+    def matrix(self) -> Array:
+        """[D, C; B, A], shape (m + k, q + k): from measurements and states to forces and rates, or next states."""
+        return np.block([[self.D, self.C], [self.B, self.A]])
+
+    @property
     def acts(self) -> bool:
         """True if some measurement ever makes a force."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
@@ -144,13 +149,7 @@ class LinearLaw:
         """
         if not np.any(through):
             return self
-        loop = np.eye(len(self.D)) - self.D @ through
-        sizes = np.linalg.svd(loop, compute_uv=False)
-        if sizes[-1] < SINGULAR * max(1.0, sizes[0]):
-            raise InputError(
-                "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop has no "
-                "solution; change the gain on the accelerations, or filter the accelerations"
-            )
+        loop = without_loop(self.D @ through)
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
         B = self.B @ through
         return replace(self, A=self.A + B @ C, B=self.B + B @ D, C=C, D=D)
@@ -224,6 +223,25 @@ class LinearLaw:
     def _at(self, period: float) -> bool:
         """Returns True if the period is the law's own sample period."""
         return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
+
+
+def without_loop(direct: Array) -> Array:
+    """Returns I - `direct`, which solves a loop of forces that act on their own measurements at once, shape (m, m).
+
+    Args:
+        direct: feedthrough from the forces that act to the forces that the law then requests, shape (m, m).
+
+    Raises:
+        InputError: I - `direct` is singular.
+    """
+    loop = np.eye(len(direct)) - direct
+    sizes = np.linalg.svd(loop, compute_uv=False)
+    if len(sizes) and sizes[-1] < SINGULAR * max(1.0, sizes[0]):
+        raise InputError(
+            "the forces change the measurements instantly, and I - D_c D is singular, so this algebraic loop has no "
+            "solution; change the gain on the accelerations, or filter the accelerations"
+        )
+    return loop
 
 
 def static_law(gain: Array) -> LinearLaw:

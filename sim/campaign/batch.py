@@ -2,23 +2,22 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.printed import finite
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.road import RoadInput, track_width
-from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.linear.dampers import is_linear
 from sim.linear.outputs import forces_ahead
-from sim.linear.sampled_response import readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
@@ -29,8 +28,8 @@ from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
 from synth.controller.controller import AnyController, Controller
-from synth.controller.open_loop import heights_read, sampled
-from synth.plant.discrete import held_inputs
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
+from synth.plant.state_space import StateSpace
 
 
 class ReferenceResponse:
@@ -44,23 +43,25 @@ class ReferenceResponse:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle, self.watched, timestep = runs[0].vehicle, watched, watched.timestep
         vehicles = [run.vehicle for run in runs]
-        ahead = None
+        self.outputs, road, held = vehicle.linear_model.outputs, vehicle.linear_model.disturbances, pushes(vehicle.linear_model)
+        groups = [(watched.now, named(road, HEIGHT)), (watched.midway, named(road, MIDWAY))]
+        if watched.held is not None:
+            effects = {HELD: "held", SIGNAL: "in_signals", READ: "in_readings"}
+            for ending, values in effects.items():
+                groups.append((np.stack([getattr(one, values) for one in watched.inputs], axis=1), named(held, ending)))
         if any(getattr(run.controller, "preview", None) for run in runs):
             ahead = np.zeros((len(watched.now), len(runs), len(vehicle.linear_model.inputs)))
-            for i, (run, road) in enumerate(zip(runs, watched.inputs, strict=True)):
+            for i, (run, on) in enumerate(zip(runs, watched.inputs, strict=True)):
                 if isinstance(run.controller, Controller) and run.controller.preview is not None:
-                    ahead[:, i] = forces_ahead(
-                        run.controller.preview, road, steps_per_sample(road.vehicle.implementation, timestep)
-                    )
-        held = watched.held is not None
-        effects = [np.stack([getattr(one, name) for one in watched.inputs], axis=1) if held else None for name in EFFECTS]
-        systems = {run.system: run for run in runs}
-        made = {key: _system(run.vehicle, run.controller, timestep) for key, run in systems.items()}
+                    ahead[:, i] = forces_ahead(run.controller.preview, on, steps_per_sample(on.vehicle.implementation, timestep))
+            groups.append((ahead, vehicle.linear_model.inputs))
+        made = {run.system: _closed(run.vehicle, run.controller, timestep) for run in runs}
+        systems = [made[run.system].part(self.outputs, made[run.system].inputs) for run in runs]
         # By entry of the matrices, runs last: shapes (n, n, N) and (p, n, N); of each input (T, N, r), (n, r, N) and (p, r, N).
-        self.A, self.C, *of_inputs = (np.stack([made[run.system][i] for run in runs], axis=-1) for i in range(14))
-        inputs = zip((watched.now, watched.midway, *effects, ahead), of_inputs[::2], of_inputs[1::2], strict=True)
-        self.inputs = [(values, B, D) for values, B, D in inputs if values is not None]
-        signals, self.outputs = [signal.name for signal in vehicle.kind.signals], vehicle.linear_model.outputs
+        self.A, self.C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
+        columns = [systems[0].columns(names) for _, names in groups]
+        self.inputs = [(values, B[:, some], D[:, some]) for (values, _), some in zip(groups, columns, strict=True)]
+        signals = [signal.name for signal in vehicle.kind.signals]
         self.index = [signals.index(name) for name in self.outputs]
         self.units = [vehicle.kind.signal(name).unit for name in self.outputs]
         self.xi = np.zeros((self.A.shape[0], len(runs)))
@@ -114,26 +115,10 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.parts.nonlinear
 
 
-EFFECTS = ("held", "in_signals", "in_readings")  # of `RoadInput`: over the steps, in the signals, and in measurements
-
-
-def _system(vehicle: Vehicle, controller: AnyController, timestep: float) -> tuple[Array, ...]:
-    """Returns the sampled loop of `sim.linear.sampled_response`: A, C, and B and D of each input.
-
-    Inputs are road heights at the samples and midway, loads as of `EFFECTS`, and forces that answer the road ahead.
-    """
+def _closed(vehicle: Vehicle, controller: AnyController, timestep: float) -> StateSpace:
+    """Returns the closed loop from step to step, of a law that acts at once or not at all."""
     assert isinstance(controller, Controller), "it is linear"
-    cut = sampled(vehicle, controller, timestep)
-    model, G = cut.model, cut.inputs(cut.asked)
-    felt, of_heights = (cut.inputs(*np.split(read(cut, controller), [cut.forces])) for read in (readings_of_loads, heights_read))
-    ahead = cut.inputs(np.eye(cut.forces), np.zeros((len(cut.hold), cut.forces)))
-    Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.jump + model.Br)
-    Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bh)[1]
-    C = model.C + model.D @ G
-    reading = G @ model.jump + of_heights
-    of_road = (Gamma_u @ reading, C @ model.jump + model.Cr + model.D @ of_heights, Gamma_r, np.zeros_like(model.Cr))
-    of_loads = (Gamma_l, np.zeros_like(model.Dh), np.zeros_like(Gamma_l), model.Dh, Gamma_u @ felt, model.D @ felt)
-    return Phi + Gamma_u @ G, C, *of_road, *of_loads, Gamma_u @ ahead, model.D @ ahead
+    return loop_of(replace(vehicle, implementation=Implementation()), controller, timestep).closed_loop
 
 
 def _row(row: Array, inputs: Array) -> Array:

@@ -23,7 +23,7 @@ from sim.runs.report import FEW, describe_run, shared
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
 from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
     def designed(name: str) -> Controller:
         controller = design(name)
-        _ = LoopModel(vehicle, controller, timestep).open_loop
+        _ = loop_of(vehicle, controller, timestep)
         return controller
 
     return designed

@@ -10,18 +10,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from models.common.arrays import Array
+from models.common.arrays import Array, recursion
+from models.laws.linear import static_law
 from models.roads.road import RoadInput
-from sim.linear.outputs import response_of, with_linear_sides
-from sim.linear.sampled_response import (
-    load_forcing,
-    outside_at_samples,
-    road_forcing,
-)
-from sim.response.recursion import recursion
+from sim.linear.outputs import response_by_name, with_linear_sides
+from sim.linear.sampled_response import disturbances, load_forcing, road_forcing
 from sim.response.response import Response
-from synth.controller.open_loop import with_lag
+from synth.controller.loop_of import HEIGHT, named, plant_of
 from synth.plant.discrete import held_inputs
+from synth.plant.loop import HoldInterval, Loop, respond
 
 
 def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
@@ -32,30 +29,35 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding. With curves the response is that
             of RK4.
     """
-    vehicle, h, model = road.vehicle, road.timestep, with_lag(road.vehicle)
+    vehicle, h, model = road.vehicle, road.timestep, road.vehicle.linear_model
     if vehicle.parts.nonlinear:
         from sim.linear.stepped import forced
 
         return forced(forces, road).single
-    of_heights, loads = model.C @ model.jump + model.Cr, road.held if road.pushed else None
-    outside = [] if loads is None else [model.Bh]
-    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
-    jump, add = road.heights @ model.jump.T, 0.0 if loads is None else road.in_signals @ model.Dh.T
-    push = road.midway @ Gamma_r.T + forces @ Gamma.T
-    if loads is not None:
-        push += loads @ Gamma_l[0].T
-    return with_linear_sides(response_of(model, road, recursion(Phi, push) + jump, forces, add), road, of_heights, True)
+    known = {name: values[0] for name, values in disturbances([road]).items()} | dict(zip(model.inputs, forces.T, strict=True))
+    loop = Loop(
+        plant_of(vehicle, sampled=True),
+        static_law(np.zeros((len(model.inputs), 0))),
+        (),
+        model.inputs,
+        (HoldInterval(h, 0),),
+        h,
+        exponential,
+    )
+    outputs = respond(loop, loop.plant.outputs, known)
+    response = response_by_name(road, dict(zip(loop.plant.outputs, outputs.T, strict=True)))
+    return with_linear_sides(response, road, model.C @ model.jump + model.Cr, True)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
-    model = with_lag(road.vehicle)
-    Phi, Gamma = held_inputs(model.A, road.timestep, linalg.expm, model.B)
-    forcing, loads = road_forcing(model.A, model, road) + forces @ Gamma.T, None
+    plant, model = plant_of(road.vehicle), road.vehicle.linear_model
+    Phi, Gamma = held_inputs(plant.A, road.timestep, linalg.expm, plant.part((), model.inputs).B)
+    Bw, Br, Bl = (plant.part((), names).B for names in (model.disturbances, named(model.disturbances, HEIGHT), model.loads))
+    forcing = road_forcing(plant.A, Bw, Br, road) + forces @ Gamma.T
     if road.loaded:
-        forcing = forcing + load_forcing(model.A, model.Bl, road)
-    if road.pushed:
-        loads = outside_at_samples(road)
-    add = 0.0 if loads is None else loads @ model.Dh.T
-    response = response_of(model, road, recursion(Phi, forcing), np.asarray(forces), add)
+        forcing = forcing + load_forcing(plant.A, Bl, road)
+    acting = np.hstack([forces, road.velocities, road.heights, road.loads])
+    outputs = recursion(Phi, forcing) @ plant.C.T + acting @ plant.D.T
+    response = response_by_name(road, dict(zip(plant.outputs, outputs.T, strict=True)))
     return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)

@@ -9,6 +9,7 @@ from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.roads.road import RoadInput
 from sim.response.response import Response
+from synth.controller.loop_of import HELD, named
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
@@ -30,18 +31,28 @@ def response_of(
         beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
         beside: additional signals, each of shape (T,), or None for the damper signals of these inputs.
     """
+    outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
+    forces = dict(zip(named(model.inputs, HELD), inputs.T, strict=True))
+    return response_by_name(road, dict(zip(model.outputs, outputs.T, strict=True)) | forces, beside)
+
+
+def response_by_name(road: RoadInput, outputs: Mapping[str, Array], beside: Mapping[str, Array] | None = None) -> Response:
+    """Returns all signals of the vehicle from the outputs of its loop, by the names of `loop_of`, each of shape (T,).
+
+    Args:
+        outputs: the vehicle's output signals, and the forces that its actuators are given.
+        beside: additional signals, see `response_of`.
+    """
     vehicle, z_r, w, steady = road.vehicle, road.heights, road.velocities, road.steady_signals(road.time)
     if beside is None and vehicle.dampers:
         from sim.linear.dampers import linear_signals
 
-        n, m = vehicle.linear_model.B.shape
-        of_heights = model.Cr[[model.outputs.index(force) for force in vehicle.linear_model.inputs]]
-        beside = linear_signals(vehicle, states[:, :n], inputs[:, :m] + z_r @ of_heights.T)
+        states, forces = vehicle.linear_model.states, named(vehicle.linear_model.inputs, HELD)
+        beside = linear_signals(vehicle, *(np.stack([outputs[name] for name in names], axis=-1) for names in (states, forces)))
     values = {}
     for i, wheel in enumerate(vehicle.kind.wheels):
         values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
-    outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T + beyond
-    values |= dict(zip(model.outputs, outputs.T, strict=True)) | dict(beside or {})
+    values |= dict(outputs) | dict(beside or {})
     signals = vehicle.kind.signals
     stacked = np.stack([values[signal.name] for signal in signals], axis=-1)
     return Response(road.time, signals, stacked if steady is None else stacked + steady)

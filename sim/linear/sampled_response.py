@@ -13,7 +13,7 @@ If a damper or a spring has a curve, the response is that of RK4 (`sim.linear.st
 
 Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
 does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
-measured acceleration, make the vehicle larger (`synth/controller/open_loop.py`), and the formulas stay as they are.
+measured acceleration, make the state larger (`synth/plant/loop.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 
@@ -41,19 +41,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg
 
-from models.common.arrays import Array
-from models.kinds.linear_model import LinearModel
+from models.common.arrays import Array, recursion
 from models.kinds.signals import kept_signals
 from models.laws.linear import LinearLaw
 from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
-from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
-from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
-from sim.response.recursion import recursion
+from sim.linear.outputs import forces_ahead, response_by_name, with_linear_sides
 from sim.response.response import Response
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, OpenLoop, heights_read, readings_of_road
-from synth.plant.discrete import held_inputs
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
+from synth.plant.loop import Loop, respond
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
@@ -116,138 +113,108 @@ def taylor4(M: Array) -> Array:
     return identity + M @ (identity + M / 2 @ (identity + M / 3 @ (identity + M / 4)))
 
 
-def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
-    """Returns the response of the sampled loop, from rest.
+def sampled_response(controller: Controller, road: RoadInput, exponential: Callable[[Array], Array] = linalg.expm) -> Response:
+    """Returns the response of the sampled loop at the timestep of the road's samples, from rest.
 
     Args:
-        loop: loop at the timestep of the road's samples.
+        controller: linear controller of the road's vehicle.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
-    model = loop.open_loop.model
-    return with_linear_sides(sampled_responses(loop, [road], exponential).run(0), road, model.C @ model.jump + model.Cr, True)
+    model = road.vehicle.linear_model
+    return with_linear_sides(
+        sampled_responses(controller, [road], exponential).run(0), road, model.C @ model.jump + model.Cr, True
+    )
 
 
 def sampled_responses(
-    loop: LoopModel, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
+    controller: Controller, roads: Sequence[RoadInput], exponential: Callable[[Array], Array] = linalg.expm
 ) -> Response:
     """Returns the responses to N roads side by side, values of shape (N, T, S). Arguments as for `sampled_response`.
 
     Signals are the vehicle's and, after them, the states of the law, each as it was at the law's last sample.
     """
-    vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
+    vehicle, h = roads[0].vehicle, roads[0].timestep
     if vehicle.parts.nonlinear:
         from sim.linear.stepped import stepped
 
         return stepped([controller] * len(roads), roads).response
-    how, model, time = vehicle.implementation, cut.model, roads[0].time
-    loads = np.stack([road.held for road in roads]) if any(road.pushed for road in roads) else None
-    outside = [] if loads is None else [model.Bh]
-    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
-    now, midway = np.stack([road.heights for road in roads]), np.stack([road.midway for road in roads])
-
-    jump, push = now @ model.jump.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
-    # Of loads, by measured accelerations, of measured heights, and of the road ahead, on requested forces and on the rates of the
-    # law's states.
-    through_readings = None
-    if loads is not None:
-        push += loads @ Gamma_l[0].T
-        through_readings = np.stack([road.in_readings for road in roads]) @ readings_of_loads(cut, controller).T
-    if (of_heights := heights_read(cut, controller)).any():
-        through_readings = now @ of_heights.T + (0.0 if through_readings is None else through_readings)
+    loop = loop_of(vehicle, controller, h, exponential)
+    inputs = disturbances(roads)
     if controller.preview is not None:
-        ahead = np.stack([forces_ahead(controller.preview, road, period) for road in roads])
-        ahead = np.concatenate([ahead, np.zeros((*ahead.shape[:2], len(cut.hold)))], axis=2)
-        through_readings = ahead if through_readings is None else through_readings + ahead
-    if how.undelayed:
-        G = cut.inputs(cut.asked)
-        if through_readings is not None:
-            through_readings = np.swapaxes(cut.inputs(*np.split(np.swapaxes(through_readings, 1, 2), [cut.forces], axis=1)), 1, 2)
-            push += through_readings @ Gamma.T
-        states = recursion(Phi + Gamma @ G, push + jump @ (Gamma @ G).T) + jump
-        inputs = states @ G.T
-        if through_readings is not None:
-            inputs += through_readings
-    else:
-        states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
-        # Indexed by the sample that computes them, behind those that were pending before the first sample.
-        computed = np.zeros((len(time) // period + 1 + how.pending_forces, len(roads), cut.forces))
-        xi, acting, intervals = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
-        for k in range(len(time)):
-            states[:, k] = xi + jump[:, k]
-            if k % period == 0:
-                newest = k // period + how.pending_forces
-                computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
-                if through_readings is not None:
-                    term = through_readings[:, k]
-                    computed[newest], kept = computed[newest] + term[:, : cut.forces], kept + term[:, cut.forces :].T
-                forces = [computed[newest - late].T for _, late in intervals]
-                of_parts = [cut.inputs(force, kept, forces[-1]).T for force in forces]
-                acting = [part for (count, _), part in zip(intervals, of_parts, strict=True) for _ in range(count)]
-            inputs[:, k] = acting[k % period]
-            xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
-    beyond = np.zeros(len(roads)) if loads is None else np.stack([road.in_signals for road in roads]) @ model.Dh.T
-    runs = [response_of(model, road, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
-    last = np.arange(len(time)) // period * period
-    kept = controller.law.of_state(loop.period) * states[:, last, cut.law_states]
-    return _with_kept(Response(time, vehicle.kind.signals, np.stack(runs)), kept)
+        ahead = np.stack([forces_ahead(controller.preview, road, len(loop.by_step)) for road in roads])
+        inputs |= dict(zip(loop.forces, np.moveaxis(ahead, -1, 0), strict=True))
+    return shown(loop, roads, respond(loop, shown_outputs(loop), inputs), controller)
 
 
-def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
+def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
+    """Returns what acts on a vehicle over the steps of N roads, by the names of a sampled `loop_of`, shape (N, T) each."""
+    model = roads[0].vehicle.linear_model
+    groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
+    if any(road.pushed for road in roads):
+        held = pushes(model)
+        groups += [("held", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
+    return {
+        f"{name}{ending}": np.stack([getattr(road, values)[:, i] for road in roads])
+        for values, names, ending in groups
+        for i, name in enumerate(names)
+    }
+
+
+def continuous_response(controller: Controller, road: RoadInput) -> Response:
     """Returns the response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
-    controller, cut = loop.controller, loop.continuous
-    model, G = cut.model, cut.G
-    A = model.A + model.B @ G
-
-    forcing, through_readings, loads = road_forcing(A, model, road), None, None
-    if road.pushed:
-        through_readings, loads = readings_of_loads(cut, controller), outside_at_samples(road)
-        of_loads = model.Bh + model.B @ through_readings
-        if model.tyres_damp:  # `road_forcing` has what the road's velocity does by itself
-            of_loads[:, len(model.loads) :] -= model.Bt
-        if road.loaded or of_loads[:, len(model.loads) :].any():
-            forcing += load_forcing(A, of_loads, road)
-    Phi = linalg.expm(A * loop.timestep)
-    if controller.preview is None:
+    loop, preview, model = loop_of(road.vehicle, controller), controller.preview, road.vehicle.linear_model
+    system = loop.closed_loop.part(shown_outputs(loop), loop.closed_loop.inputs)
+    (B, D), (Bw, Dw), (Br, Dr), (Bl, Dl) = (
+        (system.B[:, columns], system.D[:, columns])
+        for columns in map(system.columns, (loop.forces, model.disturbances, named(model.disturbances, HEIGHT), model.loads))
+    )
+    forcing, Phi = road_forcing(system.A, Bw, Br, road), linalg.expm(system.A * road.timestep)
+    if road.loaded:
+        forcing += load_forcing(system.A, Bl, road)
+    if preview is None:
         states = recursion(Phi, forcing)
-        inputs = states @ G.T
+        outputs = states @ system.C.T
     else:
-        ahead, P, drive = _continuous_ahead(controller.preview, A, model.B[:, : cut.forces], road)
+        ahead, P, drive = _continuous_ahead(preview, system.A, B, road)
         states = _recursion_from(-P @ ahead[0], Phi, (forcing + drive)[:-1]) + ahead @ P.T
-        inputs = states @ G.T
-        inputs[:, : cut.forces] += ahead @ controller.preview.C.T
-    if loads is not None and through_readings is not None:
-        inputs += loads @ through_readings.T
-    response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dh.T)
-    push = model.Bw + model.B @ readings_of_road(cut, controller) if model.tyres_damp else model.Bw
-    response = with_linear_sides(response, road, (model.C + model.D @ G) @ push + model.Cr, False)
-    return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
+        outputs = states @ system.C.T + ahead @ preview.C.T @ D.T
+    outputs += road.heights @ Dr.T
+    if Dw.any():
+        outputs += road.velocities @ Dw.T
+    if road.loaded:
+        outputs += road.loads @ Dl.T
+    response = shown(loop, [road], outputs[None], controller).run(0)
+    return with_linear_sides(response, road, (system.C @ Bw + Dr)[: len(model.outputs)], False)
 
 
-def _with_kept(response: Response, kept: Array) -> Response:
-    """Returns a response with the states of a law after the vehicle's signals, shape (..., T, k)."""
-    return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
+def shown_outputs(loop: Loop) -> tuple[str, ...]:
+    """Returns the names of the outputs that `shown` takes: those of the plant, and the states of the law."""
+    return (*loop.plant.outputs, *loop.law_states)
 
 
-def readings_of_loads(cut: OpenLoop, controller: Controller) -> Array:
-    """Returns the effect of loads, and of the road's velocity through tyres that damp, on all inputs by measured accelerations,
-    shape (m + k, l) or (m + k, l + r), before forces add to the laws' rates.
-    """
-    rows = [cut.model.outputs.index(name) for name in controller.measured]
-    return cut.reading @ cut.model.Dh[rows]
+def shown(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
+    """Returns all signals of the vehicle and of the law, from `shown_outputs` over N roads, shape (N, T, p)."""
+    runs = [
+        response_by_name(road, dict(zip(loop.plant.outputs, values.T, strict=False)))
+        for road, values in zip(roads, outputs, strict=True)
+    ]
+    kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
+    vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
+    return vehicle.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
-def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
-    """Returns the contribution of a road to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
+def road_forcing(A: Array, Bw: Array, Br: Array, road_input: RoadInput) -> Array:
+    """Returns the contribution of a road to the states of x' = A x + Bw w + Br z_r over the step from each sample, (T, n)."""
     road, vehicle = road_input.felt, road_input.vehicle
 
     def push(t: Array) -> Array:
-        pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
-        return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T if model.Br.any() else pushed
+        pushed = under_wheels(road.velocity, road, vehicle, t) @ Bw.T
+        return pushed + under_wheels(road.displacement, road, vehicle, t) @ Br.T if Br.any() else pushed
 
     forcing = _forcing(
         A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
     )
-    return forcing + _leaps(A, model.Bw, road_input) if road.jumps else forcing
+    return forcing + _leaps(A, Bw, road_input) if road.jumps else forcing
 
 
 def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: RoadInput) -> tuple[Array, Array, Array]:
@@ -329,20 +296,10 @@ def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
     return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
 
 
-def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
-    """Returns the contribution of loads over the same steps, through Bh, shape (n, l), and of the road's velocity, (n, l + r)."""
-    road, vehicle, count = road_input.road, road_input.vehicle, len(road_input.vehicle.kind.loads)
-    velocity = road_input.felt.velocity
-
-    def push(t: Array) -> Array:
-        pushed = road.loads(vehicle, t) @ Bh[:, :count].T
-        return pushed + under_wheels(velocity, road, vehicle, t) @ Bh[:, count:].T if Bh[:, count:].any() else pushed
-
-    kinks = list(road.load_kinks)
-    if Bh[:, count:].any():
-        kinks += [kink + delay for kink in road.kinks for delay in delays(road, vehicle)]
-    forcing = _forcing(A, push, np.array(kinks), road_input.time)
-    return forcing + _leaps(A, Bh[:, count:], road_input) if road.jumps and Bh[:, count:].any() else forcing
+def load_forcing(A: Array, Bl: Array, road_input: RoadInput) -> Array:
+    """Returns the contribution of loads over the same steps."""
+    road, vehicle = road_input.road, road_input.vehicle
+    return _forcing(A, lambda t: road.loads(vehicle, t) @ Bl.T, np.array(road.load_kinks), road_input.time)
 
 
 def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
@@ -358,11 +315,6 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
         if 0 <= k < len(time):
             leaps[k] += height * linalg.expm(A * max(time[k] + h - at, 0.0)) @ Bw[:, wheel]
     return leaps
-
-
-def outside_at_samples(road: RoadInput) -> Array:
-    """Returns the loads at the samples and, if tyres damp, the road's velocities, shape (T, l) or (T, l + r)."""
-    return np.hstack([road.loads, road.velocities]) if road.vehicle.linear_model.tyres_damp else road.loads
 
 
 def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:

@@ -20,7 +20,7 @@ from sim.studies.frequency.worst_case_gain import SETTLED, whole_periods
 from synth.analysis.norm import largest_singular_values, transfer_matrix
 from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
 from synth.plant.numerics import DesignError
 from synth.vehicle.multi_objective import weighing
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of
@@ -86,13 +86,13 @@ def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float
     if not np.isfinite(omega):
         return math.nan
     step = scope.timestep / math.ceil(omega * scope.timestep / turn)
-    radius = LoopModel(vehicle, controller, step).radius
-    if not radius < 1:
+    growth = radius(loop_of(vehicle, controller, step))
+    if not growth < 1:
         return math.nan
     periods, count = whole_periods(omega, step)
     omega = 2 * np.pi * periods / (count * step)
     try:
-        time = sample_times(vehicle, step * math.log(SETTLED) / math.log(radius) + step * count, step)
+        time = sample_times(vehicle, step * math.log(SETTLED) / math.log(growth) + step * count, step)
     except InputError:  # it takes too many samples
         return math.nan
     response = simulate(

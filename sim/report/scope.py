@@ -17,7 +17,7 @@ from sim.studies.stability import TIMESTEP
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
 from synth.controller.report import has_sampled_norm
 from synth.vehicle.designer import Designer
 
@@ -100,7 +100,7 @@ class Scope:
             one
             for one in self.controllers
             if (one.certificate.stable or not self.vehicle.implementation.undelayed)
-            and LoopModel(self.vehicle, one, self.timestep).radius < 1
+            and radius(loop_of(self.vehicle, one, self.timestep)) < 1
         ]
 
     @cached_property

@@ -1,36 +1,13 @@
-"""Linear recursions from sample to sample, among them the first-order lag of an actuator in steps of RK4."""
+"""The first-order lag of an actuator in steps of RK4."""
 
-import itertools
-import math
 from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
+from models.common.arrays import Array, recursion
 
 SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the stages' rates
-
-
-def recursion(Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
-
-    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
-    stretches from rest come first, side by side, and then what each adds to those behind it.
-    """
-    *runs, samples, n = forcing.shape
-    length = math.isqrt(samples) + 1
-    stretches = -(-samples // length)
-    padded = np.zeros((*runs, stretches * length, n))
-    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
-    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
-        for k in range(1, length):
-            states[..., k, :] += states[..., k - 1, :] @ transposed
-        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
-        for i in range(1, stretches):
-            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
-    return padded[..., :samples, :]
 
 
 def lagging(commands: Array, z: Array) -> Array:

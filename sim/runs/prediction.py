@@ -20,7 +20,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
 from synth.controller.controller import AnyController, Controller, code_of
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
+from synth.plant.loop import Loop
 
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
@@ -44,7 +45,7 @@ class Prediction:
         continuous: exact linear response of the continuous closed loop; NaN if the law is not linear.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
         requested_force: commands of a law in Python, see `sim.physics.actuators`, shape (T, m) or (T, 2 m); empty for others.
-        loop: the linear loop, or None.
+        loop: the linear loop in continuous time, or None.
         code_effect: measured difference of exported code from the law, or None without such code.
         replayed: True if the law in Python is not run, and its commands come from a log.
         finer: `sampled` without RK4's own error, as estimated; None if it has no such error.
@@ -57,7 +58,7 @@ class Prediction:
     continuous: Response
     radius: float = math.nan
     requested_force: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    loop: LoopModel | None = None
+    loop: Loop | None = None
     code_effect: "CodeEffect | None" = None
     replayed: bool = False
     finer: Response | None = None
@@ -99,7 +100,7 @@ class Prediction:
             return None
         road = RoadInput(self.vehicle.linearised, self.road, self.time)
         if isinstance(self.controller, Controller):
-            return sampled_response(LoopModel(road.vehicle, self.controller, self.timestep), road)
+            return sampled_response(self.controller, road)
         from sim.linear.forced_response import forced_response
 
         return forced_response(self.requested_force, road)
@@ -129,25 +130,25 @@ class Prediction:
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
-def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> Prediction:
+def predict(controller: Controller, road: RoadInput, most_states: float = math.inf) -> Prediction:
     """Returns the prediction of one run of a linear loop, from rest.
 
     Args:
-        loop: loop of the vehicle and its controller, at the timestep of the road's samples.
+        controller: linear controller of the road's vehicle.
         most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
     """
-    vehicle, cut = loop.vehicle, loop.open_loop
-    small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
-    sampled, integrated, finer = _sampled(road, partial(sampled_response, loop, road), loop.controller)
+    loop = loop_of(road.vehicle, controller, road.timestep)
+    small = len(loop.open_loop.A) <= most_states
+    sampled, integrated, finer = _sampled(road, partial(sampled_response, controller, road), controller)
     return Prediction(
         input=road,
-        controller=loop.controller,
+        controller=controller,
         sampled=sampled,
         integrated=integrated,
         finer=finer,
-        continuous=continuous_response(loop, road),
-        radius=loop.radius if small else math.nan,
-        loop=loop,
+        continuous=continuous_response(controller, road),
+        radius=radius(loop) if small else math.nan,
+        loop=loop_of(road.vehicle, controller),
     )
 
 
@@ -166,12 +167,12 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         signals = road.vehicle.kind.signals
         nothing = continuous = Response(road.time, signals, np.full((len(road.time), len(signals)), np.nan))
         if isinstance(controller, Controller):
-            continuous = continuous_response(LoopModel(road.vehicle, controller, road.timestep), road)
+            continuous = continuous_response(controller, road)
             states = continuous.signals[len(signals) :]
             nothing = nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
         return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
     if isinstance(controller, Controller):
-        return predict(LoopModel(road.vehicle, controller, road.timestep), road, most_states)
+        return predict(controller, road, most_states)
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
     sampled, integrated, finer = _sampled(road, partial(forced_response, commands, road), commands)

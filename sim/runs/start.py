@@ -49,8 +49,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
         least = roundings(vehicle, run.controller if isinstance(run.controller, Controller) else None)
         if loop is not None:
-            cut = loop.continuous
-            A, C = cut.model.A + cut.model.B @ cut.G, cut.model.C + cut.model.D @ cut.G
+            A, C = loop.closed_loop.A, loop.closed_loop.C
         state = np.pad(apart, (0, len(A) - len(apart)))
         for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
             k = int(np.abs(physics[signal]).argmax())

@@ -32,10 +32,11 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
+from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant, check_states
+from synth.plant.loop import HoldInterval, hold_intervals
 
 SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
 TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
@@ -173,27 +174,6 @@ def _root(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class HoldInterval(Checked):
-    """A part of the period in which one force is held.
-
-    Attributes:
-        duration: duration of the interval [s].
-        late: number of samples by which the acting force is delayed.
-    """
-
-    duration: PositiveTime
-    late: Index
-
-
-def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
-    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
-    late = math.floor(delay)
-    share = delay - late
-    pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
-    return tuple(HoldInterval(part * period, samples) for part, samples in pieces)
-
-
-@dataclass(frozen=True, eq=False)
 class SampledLoop(Checked):
     """A plant with a discrete controller.
 
@@ -251,7 +231,30 @@ class SampledLoop(Checked):
         (n, m), q = plant.B.shape, len(Cy)
         check_shape("Cy", Cy, (q, n), f"one column for each of the {n} states of the plant")
         check_shape("K", K, (m, q), f"as the plant has {m} inputs, and Cy has {q} rows")
-        return cls(plant, hold_intervals(sample_period, delay), K @ Cy, np.zeros((0, n)), np.zeros((0, m)))
+        return cls.of_law(plant, Cy, np.zeros((q, m)), K, hold_intervals(sample_period, delay), np.zeros((q, 0)))
+
+    @classmethod
+    def of_law(
+        cls, plant: GeneralizedPlant, Cy: Array, Dyu: Array, law: Array, pieces: tuple[HoldInterval, ...], noise: Array
+    ) -> "SampledLoop":
+        """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
+
+        Args:
+            plant: n states, m inputs.
+            Cy, Dyu: the measurements, y = C_y x + Dyu u + `noise` e, where u is the force that acts just before a sample; shapes
+                (q, n), (q, m).
+            law: matrix [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
+            pieces: parts of the sample period.
+            noise: shape (q, j); j may be 0.
+        """
+        (n, m), q = plant.B.shape, len(Cy)
+        k, previous = len(law) - m, m if np.any(Dyu) else 0
+        rows = np.hstack([Cy, np.zeros((q, k)), Dyu[:, :previous]])
+        computed = law[:, :q] @ rows
+        computed[:, n : n + k] += law[:, q:]
+        memory = np.vstack([computed[m:], np.zeros((previous, n + k + previous))])
+        heard = np.vstack([law[:, :q] @ noise, np.zeros((previous, noise.shape[1]))])
+        return cls(plant, pieces, computed[:m], memory, np.eye(k + previous, m, -k), heard if heard.size else None)
 
     @property
     def period(self) -> float:
@@ -428,20 +431,8 @@ class SampledDataProblem:
         return replace(self, Cy=self.Cy[kept], through=self.through[kept], rms=rms)
 
     def loop(self, K: Array) -> SampledLoop:
-        """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
-
-        Args:
-            K: matrix [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
-        """
-        (n, m), q = self.plant.B.shape, len(self.Cy)
-        k, previous = len(K) - m, m if np.any(self.through) else 0
-        rows = np.hstack([self.Cy, np.zeros((q, k)), self.through[:, :previous]])
-        computed = K[:, :q] @ rows
-        computed[:, n : n + k] += K[:, q:]
-        memory = np.vstack([computed[m:], np.zeros((previous, n + k + previous))])
-        noise = np.vstack([K[:, :q] @ self.noise, np.zeros((previous, self.noise.shape[1]))])
-        from_force = np.vstack([np.zeros((k, m)), np.eye(previous, m)])
-        return SampledLoop(self.plant, self.pieces, computed[:m], memory, from_force, noise if noise.size else None)
+        """Returns the loop of a gain or a discrete law, as the computer closes it; `K` as `law` of `SampledLoop.of_law`."""
+        return SampledLoop.of_law(self.plant, self.Cy, self.through, K, self.pieces, self.noise)
 
     def at(self, gamma: float) -> GeneralizedPlant | None:
         """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""

@@ -178,7 +178,7 @@ def _vehicle(vehicle: Vehicle, options: Namespace) -> FmuContent:
     """Returns the linear vehicle as the content of an FMU."""
     if options.controller:
         raise InputError("--part vehicle contains no controller; omit --controller, or give --part loop")
-    model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle_system(vehicle))
+    model = linear_model(c_name(vehicle.kind.name), f"{vehicle.kind.name}, linear", vehicle, vehicle_system(vehicle))
     return model, {VEHICLE: vehicle.text}, _about(model)
 
 
@@ -191,7 +191,7 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
     if isinstance(controller, Controller) and controller.law.sample_period is not None:
         law = f"the continuous counterpart (Tustin's method) of the discrete controller {own}"
     title = f"{kind}, linear, with {law}"
-    model = linear_model(identifier, title, loop_system(saved, controller))
+    model = linear_model(identifier, title, saved, loop_system(saved, controller))
     return model, {VEHICLE: saved.text}, _about(model)
 
 

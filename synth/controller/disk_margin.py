@@ -1,4 +1,4 @@
-"""The symmetric disk margin of a loop that is cut at its actuators, as in `loop_transfer.py`.
+"""The symmetric disk margin of a loop that is cut at its actuators, as by `Loop.cut`.
 
 It is 1 / ||S - I / 2|| with S = (I - L)^-1: each force may have a complex factor f of its own with |f - 1| / |f + 1| below half
 of it (Seiler, Packard, Gahinet 2020).
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from synth.analysis.norm import hinf_norm
-from synth.controller.loop_transfer import LoopTransfer
 from synth.plant.generalized import GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class DiskMargin:
         return 2 * math.atan(self.size / 2)
 
 
-def disk_margin(loop: LoopTransfer) -> DiskMargin:
+def disk_margin(cut: StateSpace) -> DiskMargin:
     """Returns the symmetric disk margin of a loop that is stable when closed."""
-    inverse, half = np.linalg.inv(np.eye(len(loop.H)) - loop.H), np.eye(len(loop.H)) / 2
-    n, k = loop.B.shape
+    inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
+    n, k = cut.B.shape
     # x' = A x + B u, u = v + d, and z = u - d / 2.
     sensitivity = GeneralizedPlant(
-        A=loop.closed(1.0),
+        A=cut.loop_matrix(1.0),
         B=np.zeros((n, 1)),
-        Bw=loop.B @ inverse,
-        C=inverse @ loop.G,
+        Bw=cut.B @ inverse,
+        C=inverse @ cut.C,
         D=np.zeros((k, 1)),
         Dw=inverse - half,
     )

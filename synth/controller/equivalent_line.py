@@ -25,7 +25,7 @@ from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous
+from synth.controller.loop_of import loop_of
 
 CONSISTENT = 1e-6  # relative change at which the iteration ends
 DIRECT = 10  # rounds with full steps
@@ -124,11 +124,11 @@ def mean_outputs(vehicle: Vehicle, controller: Controller, push: Array, forces: 
         push: effect of forces that pull on the rates of the vehicle's states, shape (n, e).
         forces: mean forces [N], shape (e,).
     """
-    cut = continuous(vehicle, controller)
-    rates = np.zeros(len(cut.model.A))
+    outputs = vehicle.linear_model.outputs
+    closed = loop_of(vehicle, controller).closed_loop.part(outputs, ())
+    rates = np.zeros(len(closed.A))
     rates[: len(push)] = push @ forces
-    state = -np.linalg.lstsq(cut.model.A + cut.model.B @ cut.G, rates)[0]
-    means = cut.model.C @ state + cut.model.D @ (cut.G @ state)
+    means = -closed.C @ np.linalg.lstsq(closed.A, rates)[0]
     # Velocities and accelerations have zero mean.
-    still = {name for name in vehicle.linear_model.outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
-    return {name: 0.0 if name in still else float(value) for name, value in zip(cut.model.outputs, means, strict=True)}
+    still = {name for name in outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
+    return {name: 0.0 if name in still else float(value) for name, value in zip(outputs, means, strict=True)}

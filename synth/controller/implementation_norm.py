@@ -7,13 +7,14 @@ its readings, and only that sum returns to zero.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from models import USUAL_TIMESTEP
-from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, error_in
 from models.common.printed import exactly
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.vehicle import Vehicle
@@ -23,7 +24,6 @@ from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_in
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.open_loop import heights_read, readings_of_road, sampled
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
@@ -50,54 +50,38 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     bounds the velocity at an instant. As in MuJoCo, where a road that is held moves by steps. The road's height in a reading is
     the integral of its velocity.
     """
-    how = vehicle.implementation
-    period = how.sample_period or timestep
-    cut = sampled(vehicle, controller, period)
-    plant = plant_as_built(vehicle)
-    n, kept = len(plant.A), len(cut.kept)
-    own = len(cut.model.A) - kept
-    G = np.insert(cut.G, [own] * (n - own), 0.0, axis=1)  # of states of filters nobody measures any
-    memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * G[cut.forces :]
-    noise = None
-    if any(controller.hardware.noise):
-        rms = np.array(controller.hardware.noise)
-        heard = cut.reading @ np.diag(rms)[:, rms > 0] / math.sqrt(period)  # as in `SampledDataProblem`
-        noise = np.vstack([heard[: cut.forces], period * heard[cut.forces :]])
-    loop = SampledLoop(plant, hold_intervals(period, how.delay), G[: cut.forces], memory, period * cut.hold, noise)
-    felt, height = readings_of_road(cut, controller), heights_read(cut, controller)
-    if not felt.any() and not height.any():
-        return loop
-    felt, height = (np.vstack([of[: cut.forces], period * of[cut.forces :]]) for of in (felt, height))
-    C, D = road_rates(vehicle.without_integrals, plant)
-    return _with_road(loop, felt, height, C[: felt.shape[1]], D[: felt.shape[1]])
-
-
-def _with_road(loop: SampledLoop, felt: Array, height: Array, C: Array, D: Array) -> SampledLoop:
-    """Returns the loop whose readings contain the road's mean velocity over the last period, and its height.
-
-    The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the controller keeps the integral of the last
-    sample: their difference is the mean.
-
-    Args:
-        felt: gain from the velocities to the computed forces and the next controller states, shape (m + k, r).
-        height: gain from the heights to the same.
-        C, D: gain to the velocities from the plant's states and disturbances.
-    """
-    (n, m), k, r, plant = loop.plant.B.shape, len(loop.A_register), felt.shape[1], loop.plant
+    period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
+    posed = _posed(vehicle, controller.measured, period, controller.hardware.noise)
+    with error_in(f"controller {controller.name!r}:"):
+        law = controller.law.sampled(period).matrix
+    rows = [model.outputs.index(name) for name in controller.measured]
+    if not model.Dw[rows].any() and not model.Cr[rows].any():
+        return posed.loop(law)
+    # The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the law keeps the integral of the last sample:
+    # their difference is the mean.
+    (n, m), q, r, plant = posed.plant.B.shape, len(rows), model.Dw.shape[1], posed.plant
+    C, D = (rate[:r] for rate in road_rates(vehicle.without_integrals, plant))
     wide = replace(
         plant,
-        A=np.block([[plant.A, np.zeros((n, r))], [C, -FORGOTTEN / loop.period * np.eye(r)]]),
+        A=np.block([[plant.A, np.zeros((n, r))], [C, -FORGOTTEN / period * np.eye(r)]]),
         B=np.vstack([plant.B, np.zeros((r, m))]),
         Bw=np.vstack([plant.Bw, D]),
         C=np.hstack([plant.C, np.zeros((len(plant.C), r))]),
     )
-    now, before = felt / loop.period + height, -math.exp(-FORGOTTEN) * felt / loop.period
-    gains = np.vstack([loop.K, loop.A_register])
-    gains = np.hstack([gains[:, :n], now, gains[:, n:], before])
-    kept = np.hstack([np.zeros((r, n)), np.eye(r), np.zeros((r, k + r))])
-    noise = None if loop.noise is None else np.vstack([loop.noise, np.zeros((r, loop.noise.shape[1]))])
-    hold = np.vstack([loop.B_register, np.zeros((r, m))])
-    return SampledLoop(wide, loop.pieces, gains[:m], np.vstack([gains[m:], kept]), hold, noise)
+    now, before = model.Dw[rows] / period + model.Cr[rows], -math.exp(-FORGOTTEN) * model.Dw[rows] / period
+    read, states = law[:, :q], law[:, q:]
+    kept = np.eye(r, q + r + states.shape[1] + r, q)
+    larger = np.vstack([np.hstack([read, read @ now, states, read @ before]), kept])
+    Cy, Dyu = linalg.block_diag(posed.Cy, np.eye(r)), np.vstack([posed.through, np.zeros((r, m))])
+    noise = np.vstack([posed.noise, np.zeros((r, posed.noise.shape[1]))])
+    return SampledLoop.of_law(wide, Cy, Dyu, larger, posed.pieces, noise)
+
+
+def _posed(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
+    """Returns the sampled-data problem of measured signals, with the rms noise of each, if there is one."""
+    Cy, through = measurements(vehicle.without_integrals, measured, vehicle.limits.actuator_bandwidth)
+    rms = np.array(noise) if any(noise) else None
+    return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(period, vehicle.implementation.delay), rms)
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
@@ -117,9 +101,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
             f"controller {entry.name!r} cannot be designed for the sampled-data loop: {pushed[0]!r} contains the road's "
             "velocity because of tyre_damping, so its samples have no bound; omit the signal or tyre_damping"
         )
-    Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
-    rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
-    return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(how.sample_period, how.delay), rms)
+    return _posed(vehicle, entry.measured, how.sample_period, entry.hardware.noise)
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:

@@ -25,7 +25,8 @@ from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import DiskMargin, disk_margin
-from synth.controller.loop_transfer import LoopTransfer, loop_transfer
+from synth.controller.loop_of import loop_of
+from synth.plant.state_space import StateSpace
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
 MANY = 3  # pairs of margins that a sentence lists in full; of more, the smallest disk margins
@@ -96,7 +97,8 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
     gain, gain_lower, disk = math.inf, 0.0, None
     if law.acts and controller.certificate.stable:
         limits = replace(vehicle.limits, actuator_bandwidth=controller.hardware.bandwidth)
-        loop = loop_transfer(replace(vehicle, limits=limits), controller, range(len(law.D)))
+        loop = loop_of(replace(vehicle, limits=limits), controller)
+        loop = loop.cut(loop.forces)
         if _growth(loop, np.ones(1))[0] < 0:  # rounding may decide on a marginal loop
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
@@ -133,13 +135,13 @@ def _clipped(vehicle: Vehicle) -> str:
     return "at the limits of the semi-active dampers" if vehicle.dampers else ""
 
 
-def _growth(loop: LoopTransfer, factors: Array) -> Array:
+def _growth(loop: StateSpace, factors: Array) -> Array:
     """Returns the growth of the loops with these factors on all forces [1/s], infinite where no delay is allowed."""
-    growth = np.linalg.eigvals(loop.closed(factors)).real.max(axis=-1)
-    return np.where(loop.comes_back * factors >= 1, np.inf, growth)
+    growth = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1)
+    return np.where(loop.feedthrough_radius * factors >= 1, np.inf, growth)
 
 
-def _first_unstable(loop: LoopTransfer, factors: Array, without: float) -> float:
+def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
     """Returns the factor nearest to 1 at which the loop becomes unstable, or `without` if none of these is unstable."""
     unstable = np.flatnonzero(_growth(loop, factors) >= 0)
     if not len(unstable):

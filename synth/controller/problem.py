@@ -31,8 +31,9 @@ from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm
 from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.augmented import System, append, gain, on_larger_plant, with_weights
+from synth.plant.augmented import append, gain, on_larger_plant, with_weights
 from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
@@ -386,8 +387,8 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
         )
 
 
-def _system(one: "Filter | None") -> System:
-    return gain(1.0) if one is None else System(*one.remainder)
+def _system(one: "Filter | None") -> StateSpace:
+    return gain(1.0) if one is None else StateSpace.of_law(one.remainder)
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The margins of a loop, predicted from where it is cut.
 
-Cut as in `loop_transfer.py`, the loop L(s) = G (s I - A)^-1 B + H is on the verge of stability where an eigenvalue of L(j w)
-is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
+Cut at some forces (`Loop.cut`), the loop L(s) = C (s I - A)^-1 B + D is on the verge of stability where an eigenvalue of L(j w)
+is 1. No margin is read off a frequency grid. With M = B C, and D = 0:
 
 - a gain factor k puts a pole of A + k M on the imaginary axis only if two poles of it add to zero, so only if
   (A + k M) (+) (A + k M) is singular, with X (+) Y = kron(X, I) + kron(I, Y): a linear eigenvalue problem in k;
@@ -9,9 +9,10 @@ is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
   eigenvalue problem in z, whose solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995). The delay theta / w makes
   that lag, and of all crossovers the one with the smallest delay is the delay margin;
 - a phase lead is the rest of a whole turn: of all crossovers the one with the largest lag has the smallest lead;
-- a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
+- a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) C on the unit circle, see
+  `sample_period_margin.py`.
 
-With H these problems involve more than one matrix, and candidates come from a fine grid. All candidates are then refined on the
+With D these problems involve more than one matrix, and candidates come from a fine grid. All candidates are then refined on the
 poles themselves.
 """
 
@@ -26,21 +27,15 @@ from scipy import linalg, optimize
 
 from models.common.arrays import Array
 from synth.controller.disk_margin import DiskMargin, disk_margin
-from synth.controller.loop_transfer import LoopTransfer
+from synth.controller.sample_period_margin import all_sampled, largest_sample_period
+from synth.plant.loop import Loop
+from synth.plant.state_space import StateSpace
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
 ANGLES, FEWER_ANGLES = 4001, 501  # from no lag to a whole turn; odd, so that half a turn is among them
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
-FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
-TOGETHER = 128  # sample periods of one batch
-SQUARED = 4  # times that a transition is, to see it contract
-CONTRACTS = 0.4  # norm of a power that does: no eigenvalue comes near the unit circle within a step
-SHALLOW = 0.2  # of the parabola's rise over a step: a minimum that lies higher is none of an instability
-SMALL = 1e-3  # of a step: to so much a minimum is looked for
-WIDEST = 1.0  # s; the largest step from one sample period to the next, where nothing turns any more
-LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
 
 
 @dataclass(frozen=True)
@@ -122,95 +117,95 @@ class Margins:
         return self.leading.frequency if self.leading else math.nan
 
 
-def margins(loop: LoopTransfer) -> Margins:
-    """All margins of a loop that is stable when closed."""
-    factors = gain_crossings(loop)
-    return Margins(
-        gain=min((factor for factor in factors if factor > 1), default=math.inf),
-        gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
-        crossovers=crossovers(loop),
-        sample_period=largest_sample_period(loop),
-        disk=disk_margin(loop),
-        all_sampled=loop.sampling is not None and loop.sampling.whole and len(loop.H) < len(loop.sampling.controller.law.D),
-    )
+def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
+    """Returns all margins of a loop that is stable when closed, cut at some forces, by default at all.
 
-
-def sampled_margins(Phi: Array, Gamma: Array, G: Array, period: float) -> Margins:
-    """Returns the margins of a sampled loop that is stable when closed, without a sample period.
-
-    The bilinear map z = (1 + s) / (1 - s) takes the unit circle to the imaginary axis, and the loop to one in continuous time
-    with the same crossovers and the same disk margin, at other frequencies.
-
-    Args:
-        Phi, Gamma, G: loop from sample to sample, see `LoopModel.cut`.
-        period: sample period [s].
+    A loop that is sampled has no sample period among them. The bilinear map z = (1 + s) / (1 - s) takes the unit circle to the
+    imaginary axis, and the loop to one in continuous time with the same crossovers and disk margin, at other frequencies.
     """
-    inverse = np.linalg.inv(np.eye(len(Phi)) + Phi)
-    mapped = LoopTransfer(inverse @ (Phi - np.eye(len(Phi))), inverse @ Gamma, 2 * G @ inverse, -G @ inverse @ Gamma)
-    factors, disk = sampled_gain_crossings(Phi, Gamma, G), disk_margin(mapped)
-
-    def frequency(mapped: float) -> float:
-        return 2 * math.atan(mapped) / period
-
+    forces = loop.forces if forces is None else tuple(forces)
+    cut = loop.cut(forces)
+    factors, mapped = gain_crossings(cut), cut if cut.dt is None else bilinear(cut)
+    found, disk = crossovers(mapped) if cut.dt is None else _by_delay(_crossings_on_a_grid(mapped)), disk_margin(mapped)
+    if cut.dt is not None:
+        period = cut.dt
+        found = _by_delay([replace(one, frequency=2 * math.atan(one.frequency) / period) for one in found])
+        disk = replace(disk, frequency=2 * math.atan(disk.frequency) / period)
     return Margins(
         gain=min((factor for factor in factors if factor > 1), default=math.inf),
         gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
-        crossovers=_by_delay(
-            [Crossover(frequency(one.frequency), one.phase) for one in _crossings_on_a_grid(mapped) if one is not None]
-        ),
-        sample_period=math.inf,
-        disk=replace(disk, frequency=frequency(disk.frequency)),
+        crossovers=found,
+        sample_period=largest_sample_period(loop, forces) if cut.dt is None else math.inf,
+        disk=disk,
+        all_sampled=cut.dt is None and len(forces) < len(loop.forces) and all_sampled(loop, forces),
     )
 
 
-def gain_crossings(loop: LoopTransfer) -> list[float]:
+def bilinear(cut: StateSpace) -> StateSpace:
+    """Returns the image of a system from sample to sample under z = (1 + s) / (1 - s), which has no direct path."""
+    inverse = np.linalg.inv(np.eye(len(cut.A)) + cut.A)
+    A, B, C = inverse @ (cut.A - np.eye(len(cut.A))), inverse @ cut.B, 2 * cut.C @ inverse
+    return replace(cut, A=A, B=B, C=C, D=-cut.C @ B, dt=None)
+
+
+def gain_crossings(cut: StateSpace) -> list[float]:
     """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
 
-    Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows. Where
-    that is below 1 the loop is one on paper only, and factors are of that.
+    Beyond the factor that makes the spectral radius of the direct path one, no loop that is built is stable, as the least delay
+    shows. Where that is below 1 the loop is one on paper only, and factors are of that.
     """
-    if np.any(loop.H):
-        # A force that is in its own measurement, k H of it, grows by that at every turn once this takes any time at all.
-        turned = 1 / max(loop.comes_back, 1 / LARGEST_FACTOR) if loop.comes_back < 1 else math.inf
-        changes = _sign_changes(lambda k: float(np.linalg.eigvals(loop.closed(k)).real.max()), FACTORS)
+    n = len(cut.A)
+    if cut.dt is not None:
+
+        def growth(k: float) -> float:
+            return float(np.abs(np.linalg.eigvals(cut.loop_matrix(k))).max() - 1)
+    else:
+
+        def growth(k: float) -> float:
+            return float(np.linalg.eigvals(cut.loop_matrix(k)).real.max())
+
+    if np.any(cut.D):
+        # A force that is in its own measurement, k D of it, grows by that at every turn once this takes any time at all.
+        radius = cut.feedthrough_radius
+        turned = 1 / max(radius, 1 / LARGEST_FACTOR) if radius < 1 else math.inf
+        changes = _sign_changes(growth, FACTORS)
         return [*(k for k in changes if k < turned), *([turned] if turned < LARGEST_FACTOR else [])]
-    # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
-    S, T = (_kronecker_sum(X, X) for X in (loop.A + loop.M, loop.M))
-    inverses = np.linalg.eigvals(np.linalg.solve(S, T))
+    if cut.dt is not None and n > MOST_QUADRATIC:
+        return _sign_changes(growth, FACTORS)
+    closed, M = cut.loop_matrix(1.0), cut.B @ cut.C
+    if cut.dt is None:
+        # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
+        S, T = (_kronecker_sum(X, X) for X in (closed, M))
+        inverses = -np.linalg.eigvals(np.linalg.solve(S, T))
+    else:
+        # kron(A + k M, A + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
+        constant = np.kron(closed, closed) - np.eye(n * n)
+        linear, square = np.kron(closed, M) + np.kron(M, closed), np.kron(M, M)
+        first, second = np.linalg.solve(constant, linear), np.linalg.solve(constant, square)
+        inverses = np.linalg.eigvals(np.block([[-first, -second], [np.eye(n * n), np.zeros((n * n, n * n))]]))
     inverses = inverses[np.abs(inverses) > 1 / LARGEST_FACTOR]
-    tried = 1 - 1 / inverses[np.abs(inverses.imag) < 1e-5 * np.abs(inverses)].real
-    return _sign_changes(lambda k: float(np.linalg.eigvals(loop.A + k * loop.M).real.max()), tried)
+    return _sign_changes(growth, 1 + 1 / inverses[np.abs(inverses.imag) < 1e-5 * np.abs(inverses)].real)
 
 
-def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
-    """The same for the loop that is sampled, and holds the force between; arguments as `LoopModel.cut` returns them."""
-    M, n = Gamma @ G, len(Phi)
-    if n > MOST_QUADRATIC:
-        return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), FACTORS)
-    # kron(Phi + k M, Phi + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
-    closed = Phi + M
-    constant = np.kron(closed, closed) - np.eye(n * n)
-    linear, square = np.kron(closed, M) + np.kron(M, closed), np.kron(M, M)
-    first, second = np.linalg.solve(constant, linear), np.linalg.solve(constant, square)
-    inverses = np.linalg.eigvals(np.block([[-first, -second], [np.eye(n * n), np.zeros((n * n, n * n))]]))
-    inverses = inverses[np.abs(inverses) > 1 / LARGEST_FACTOR]
-    tried = 1 + 1 / inverses[np.abs(inverses.imag) < 1e-5 * np.abs(inverses)].real
-    return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), tried)
-
-
-def crossovers(loop: LoopTransfer) -> tuple[Crossover, ...]:
+def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
     """Every crossover at a frequency above zero, by the delay that it allows."""
     # The pencil has squares of the loop's numbers in it, so that states in unlike units, as a lagged force in N beside metres,
     # would hide solutions. A crossover is cheap to verify and a missing one is not, so a grid is searched, too.
-    quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
-    candidates = _of_the_pencil(loop.balanced()) if quadratic else []
-    beyond = [Crossover(math.inf, 0.0)] if loop.comes_back >= 1 else []
-    return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(loop, FEWER_ANGLES if quadratic else ANGLES)])
+    quadratic = not np.any(cut.D) and len(cut.A) <= MOST_QUADRATIC
+    candidates = _of_the_pencil(_balanced(cut)) if quadratic else []
+    beyond = [Crossover(math.inf, 0.0)] if cut.feedthrough_radius >= 1 else []
+    return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(cut, FEWER_ANGLES if quadratic else ANGLES)])
 
 
-def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
+def _balanced(cut: StateSpace) -> StateSpace:
+    """Returns a cut loop with its states in units that make its numbers of a like size, powers of two."""
+    _, (scale, _) = linalg.matrix_balance(np.abs(cut.A) + np.abs(cut.B @ cut.C), permute=False, separate=True)
+    return replace(cut, A=cut.A * scale / scale[:, None], B=cut.B / scale[:, None], C=cut.C * scale)
+
+
+def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
     """Crossovers by the quadratic eigenvalue problem, see the top."""
-    A, M, identity = loop.A, loop.M, np.eye(len(loop.A))
+    A, M, identity = cut.A, cut.B @ cut.C, np.eye(len(cut.A))
     # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
     eye, zero = np.eye(size), np.zeros((size, size))
@@ -224,7 +219,7 @@ def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
     for z in solutions[np.abs(np.abs(solutions) - 1) < 1e-4]:
         poles = np.linalg.eigvals(A + z * M)
         for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
-            candidates.append(_refined(loop, float(-np.angle(z)), complex(pole)))
+            candidates.append(_refined(cut, float(-np.angle(z)), complex(pole)))
     return candidates
 
 
@@ -237,11 +232,11 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
     return tuple(sorted(different, key=lambda crossover: crossover.delay))
 
 
-def _crossings_on_a_grid(loop: LoopTransfer, count: int = ANGLES) -> list[Crossover | None]:
+def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
     """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
     angles = np.linspace(0, 2 * np.pi, count)
     # A lag and what it lacks of a whole turn have poles that are each other's conjugates.
-    half = np.linalg.eigvals(loop.closed(np.exp(-1j * angles[: count // 2 + 1])))
+    half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))
     poles = np.concatenate([half, half[-2::-1].conj()])
     unstable = np.sum(np.real(poles) > 0, axis=1)
     crossings = []
@@ -252,17 +247,17 @@ def _crossings_on_a_grid(loop: LoopTransfer, count: int = ANGLES) -> list[Crosso
         crossing[pairs[0]] = (before[pairs[0]].real > 0) != (after[pairs[1]].real > 0)
         # Two poles that meet on their way may be taken for each other: they are then next to the axis.
         crossing[np.argsort(np.abs(before.real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]] = True
-        crossings += [_refined(loop, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
+        crossings += [_refined(cut, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
     return crossings
 
 
-def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | None:
+def _refined(cut: StateSpace, theta: float, pole: complex) -> Crossover | None:
     """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:
         if not abs(angle - theta) < 1:  # a secant that is next to flat leads anywhere
             return complex(math.nan)
-        poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
+        poles = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
 
     root: Any = optimize.root_scalar(
@@ -273,78 +268,6 @@ def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | Non
     if not root.converged or abs(reached.real) > 1e-9 * abs(reached) or abs(angle - theta) > 1e-2:
         return None
     return Crossover(reached.imag, angle % (2 * np.pi))
-
-
-def largest_sample_period(loop: LoopTransfer) -> float:
-    """Returns the shortest sample period at which the loop is unstable [s], or infinity.
-
-    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. In between, the
-    product of 1 - z_i z_j over all pairs of eigenvalues is smooth, and negative where the loop is unstable: its minima show
-    instabilities over less than a step. The result is 0 if a force comes back as large through its own measurement.
-    """
-    if loop.comes_back >= 1:
-        return 0.0
-    poles = np.linalg.eigvals(loop.A)
-    start = 0.0
-    while start < LONGEST:
-        alive = np.abs(poles[-poles.real * start < 25])  # of the others e^-25 is left
-        if len(alive) == 0:
-            break
-        h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
-        begun = max(start - 2 * h, 0.0)  # for minima between two batches
-        count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
-        products = _products(loop.from_sample_to_sample(begun, h, count))
-        for i in range(count):
-            first = begun + h * (1 + i)
-            if products[i] > 0:
-                low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
-                first = _dip(loop, first, h, products[i - 1 : i + 2]) if low else None
-            if first is not None and loop.sampled_growth(first) > 0:  # not by rounding alone
-                before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
-                if loop.sampled_growth(before) >= 0:  # a loop far faster than the plant: its rounding, or unstable before
-                    return before
-                refined: Any = optimize.brentq(loop.sampled_growth, before, first, xtol=1e-13)
-                return float(refined)
-        start = begun + count * h
-    return math.inf
-
-
-def _dip(loop: LoopTransfer, period: float, h: float, products: Array) -> float | None:
-    """Returns the period next to one [s] at which the product is least, or None if the parabola through three is far above 0."""
-    bend = products[0] - 2 * products[1] + products[2]
-    lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
-    if not lowest < SHALLOW * bend:
-        return None
-
-    def product(at: float) -> float:
-        return max(float(_products(loop.from_sample_to_sample(0.0, at, 1))[0]), -bend)
-
-    minimum: Any = optimize.minimize_scalar(
-        product, bounds=(period - h, period + h), method="bounded", options={"xatol": SMALL * h}
-    )
-    return float(minimum.x)
-
-
-def _products(transitions: Array) -> Array:
-    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues; infinite if the transition contracts soon.
-
-    It is minus infinity if an eigenvalue lies outside the unit circle, and NaN if entries are not finite.
-    """
-    # A power that is smaller than 1 in norm has no such eigenvalue, and costs less than these.
-    left, power = np.arange(len(transitions)), transitions
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(SQUARED):
-            open_ = ~(np.linalg.norm(power, axis=(1, 2)) < CONTRACTS)
-            left, power = left[open_], power[open_]
-            power = power @ power
-    products = np.full(len(transitions), np.inf)
-    whole = np.isfinite(transitions[left]).all(axis=(1, 2))
-    products[left[~whole]] = np.nan
-    z = np.linalg.eigvals(transitions[left[whole]])
-    i, j = np.triu_indices(z.shape[-1])
-    outside = np.abs(z).max(axis=1, initial=0.0) > 1
-    products[left[whole]] = np.where(outside, -np.inf, (1 - z[:, i] * z[:, j]).prod(axis=1).real)
-    return products
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:

@@ -11,7 +11,6 @@ A design handles weights as numbers only. A weight that depends on frequency is 
 with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
 actuator.
 
-    System            x' = A x + B v, e = C x + D v, for any v and e
     transfer_function system of a ratio of polynomials in s
     series, append    systems in series, systems in parallel with separate signals
     generalized       a system from [w; u] to [z; y] as a plant and its measurements
@@ -21,7 +20,6 @@ actuator.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +27,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.plant.generalized import Feedback, GeneralizedPlant, real_matrix
+from synth.plant.state_space import StateSpace
 
 
 def on_larger_plant(
@@ -87,47 +86,13 @@ def closed_by(plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array) ->
     )
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """A linear system x' = A x + B v, e = C x + D v.
-
-    Attributes:
-        A: shape (n, n); n may be 0.
-        B: shape (n, k).
-        C: shape (p, n).
-        D: shape (p, k).
-
-    Raises:
-        InputError: a matrix is not one of real finite numbers, or does not fit the others.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-
-    def __post_init__(self) -> None:
-        for name in ("A", "B", "C", "D"):
-            object.__setattr__(self, name, real_matrix(getattr(self, name), name, "of a system"))
-        (n, (p, k)) = len(self.A), self.D.shape
-        for name, expected in (("A", (n, n)), ("B", (n, k)), ("C", (p, n))):
-            shape = getattr(self, name).shape
-            if shape != expected:
-                raise InputError(f"{name} has shape {shape}; expected {expected}, as A has {n} rows and D is {p} by {k}")
-
-    def __getitem__(self, part: tuple[Sequence[int] | slice, Sequence[int] | slice]) -> "System":
-        """The system from some inputs to some outputs: system[outputs, inputs], by index."""
-        rows, columns = part
-        return System(self.A, self.B[:, columns], self.C[rows], self.D[rows][:, columns])
-
-
-def gain(D: object) -> System:
+def gain(D: object) -> StateSpace:
     """Returns a system without states, e = D v; a number D counts as a matrix of shape (1, 1)."""
     matrix = np.atleast_2d(np.asarray(D, dtype=float))
-    return System(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
 
 
-def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> System:
+def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> StateSpace:
     """Returns the filter of one signal with a ratio of polynomials in s.
 
     Args:
@@ -151,10 +116,10 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         return gain(above[0] / below[0] if len(above) else 0.0)
     from scipy.signal import tf2ss  # half a second
 
-    return System(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+    return StateSpace(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
 
 
-def series(first: System, second: System) -> System:
+def series(first: StateSpace, second: StateSpace) -> StateSpace:
     """The second system fed by the first: e = second(first(v)).
 
     Raises:
@@ -165,7 +130,7 @@ def series(first: System, second: System) -> System:
             f"a system with {len(first.D)} outputs cannot feed one with {second.D.shape[1]} inputs; give equal numbers"
         )
     n, k = len(first.A), len(second.A)
-    return System(
+    return StateSpace(
         A=np.block([[first.A, np.zeros((n, k))], [second.B @ first.C, second.A]]),
         B=np.vstack([first.B, second.B @ first.D]),
         C=np.hstack([second.D @ first.C, second.C]),
@@ -173,13 +138,13 @@ def series(first: System, second: System) -> System:
     )
 
 
-def append(*systems: System) -> System:
-    """Systems beside each other: the inputs of all, and the outputs of all, in their order."""
+def append(*systems: StateSpace) -> StateSpace:
+    """StateSpaces beside each other: the inputs of all, and the outputs of all, in their order."""
     A, B, C, D = ([getattr(system, name) for system in systems] for name in "ABCD")
-    return System(*(_diagonal(parts) for parts in (A, B, C, D)))
+    return StateSpace(*(_diagonal(parts) for parts in (A, B, C, D)))
 
 
-def generalized(system: System, disturbances: int, controlled: int) -> tuple[GeneralizedPlant, Array, Array]:
+def generalized(system: StateSpace, disturbances: int, controlled: int) -> tuple[GeneralizedPlant, Array, Array]:
     """A system from [w; u] to [z; y] as a plant with C_y (q, n) and Dyw (q, r): y = C_y x + Dyw w.
 
     Args:
@@ -198,7 +163,9 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
     return plant, system.C[d:], system.D[d:, :r]
 
 
-def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System, beside: Array | None = None) -> GeneralizedPlant:
+def with_weights(
+    plant: GeneralizedPlant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None
+) -> GeneralizedPlant:
     """Returns the plant with one system behind its z and another before its w.
 
     Its states come first, then those of z, then those of w. Measurement matrices get columns of zeros for the others.

@@ -24,7 +24,8 @@ from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous, readings_of_road
+from synth.controller.loop_of import driven, loop_of
+from synth.plant.loop import frequency_response
 from synth.plant.quadrature import sample_band
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
@@ -65,24 +66,15 @@ def _deviations(
     vehicle: Vehicle, controller: Controller, signals: Sequence[str], weighting: Filter | None = None
 ) -> Array | None:
     """Returns the rms values of output signals of a linear vehicle over an average road, shape (k,); None if it is unstable."""
-    cut = continuous(vehicle, controller)
-    model = cut.model
-    loop = model.A + model.B @ cut.G
-    rows = [model.outputs.index(name) for name in signals]
-    poles = np.linalg.eigvals(loop)
+    loop, model = loop_of(vehicle, controller), vehicle.linear_model
+    poles = np.linalg.eigvals(loop.closed_loop.A)
     if poles.real.max() >= 0:
         return None
     road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
-    C, Cr, felt = (model.C + model.D @ cut.G)[rows], model.Cr[rows], readings_of_road(cut, controller)
-    Bw, Dw = model.Bw + model.B @ felt, (model.Dw + model.D @ felt)[rows]
 
     def spectra(omega: Array) -> Array:
         """Returns the spectra of the signals over the road's, shape (F, k)."""
-        s = 1j * omega[:, None, None]
-        response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, Bw + model.Br / s) + Dw + Cr / s
-        if controller.preview is not None:
-            ahead, B, D = controller.preview.response(omega), model.B[:, : cut.forces], model.D[rows, : cut.forces]
-            response = response + C @ np.linalg.solve(s * np.eye(len(loop)) - loop, B @ ahead) + D @ ahead
+        response = frequency_response(loop, signals, driven(model, controller, omega), omega)
         amplitude = response @ sources(vehicle, road, omega)
         if weighting is not None:
             amplitude = weighting.response(omega)[:, None, None] * amplitude

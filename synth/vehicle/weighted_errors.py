@@ -30,8 +30,8 @@ from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
-from synth.plant.augmented import System
 from synth.plant.generalized import GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.law_structure import LawStructure
@@ -123,8 +123,8 @@ def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedE
     return plant_with_errors(posed.plant, posed.Cy, posed.feedthrough, posed.Dyw, of_errors, systems)
 
 
-def _systems(weights: list[Filter | None]) -> list[System | None]:
-    return [None if one is None else System(*one.realisation) for one in weights]
+def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:
+    return [None if one is None else StateSpace.of_law(one.realisation) for one in weights]
 
 
 def _of_added_force(

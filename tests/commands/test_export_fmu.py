@@ -24,7 +24,8 @@ from synth.controller.export import fmu
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
 from synth.controller.export.fmu_description import BASE
-from synth.controller.export.linear_system import LinearSystem, loop_system, vehicle_system
+from synth.controller.export.linear_system import loop_system, vehicle_system
+from synth.plant.state_space import StateSpace
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
 from tests.support.commands import in_the_suite, prose
@@ -338,7 +339,7 @@ def test_libcosim_runs_it(folder, tmp_path):
     assert found == [ours(row)[0] for row in rows]
 
 
-def _held(system: LinearSystem, h: float) -> tuple[Array, Array]:
+def _held(system: StateSpace, h: float) -> tuple[Array, Array]:
     """Returns the maps of states and held inputs to the states after a step."""
     n, m = system.B.shape
     held = expm(h * np.block([[system.A, system.B], [np.zeros((m, n + m))]]))
@@ -369,7 +370,7 @@ def test_a_master_closes_our_sampled_loop(folder):
     law, car, ours = Slave(folder / "law2.fmu"), Slave(folder / "car2.fmu"), _law()
     vehicle = parse_vehicle(TEXT)
     system = vehicle_system(vehicle)
-    names = [one.name for one in system.outputs]
+    names = list(system.outputs)
     read = [names.index(name) for name in ours.law.inputs]
     (Phi, Gamma), n = _held(system, PERIOD), len(system.A)
     x, velocities = np.zeros(n), 3.0 * np.random.default_rng(2).standard_normal(200)
@@ -412,7 +413,7 @@ def test_fmpy_integrates_the_vehicle(folder, version):
     """By model exchange, FMPy's integrator finds the free response of the matrix exponential, from a state that is set."""
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
     system, start = vehicle_system(read_vehicle("quarter_car")), np.array([0.01, 0.0, -0.2, 0.0])
-    names = [one.name for one in system.states]
+    names = list(system.states)
     given = {f"state.{name}": value for name, value in zip(names, start, strict=True)}
     options = {"fmi_type": "ModelExchange", "stop_time": 1.0, "output_interval": 0.1, "relative_tolerance": 1e-8}
     found = fmpy.simulate_fmu(str(folder / f"car{version}.fmu"), start_values=given, output=names, **options)
@@ -450,7 +451,7 @@ def test_the_loop_with_states_is_the_analysis(lag):
     from sim.linear.frequency_response import continuous_frequency_response
 
     vehicle = parse_vehicle(TEXT + lag)
-    assert [one.name for one in vehicle_system(vehicle).states[4:]] == ["lagged_control_force"] * bool(lag)
+    assert list(vehicle_system(vehicle).states[4:]) == ["lagged_control_force"] * bool(lag)
     plain = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None, delay=0, quantisation={}))
     controller, omega = Designer(plain, search=False).design("law"), np.array([3.0, 30.0])
     system = loop_system(plain, controller)

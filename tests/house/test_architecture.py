@@ -56,7 +56,7 @@ ROOMS = {
     "sim.physics": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.controller "
     "sim.response",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
-    "models.roads synth.controller synth.vehicle sim.response sim.linear sim.physics",
+    "models.roads synth.plant synth.controller synth.vehicle sim.response sim.linear sim.physics",
     "sim.recording": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "
     "sim.response sim.linear sim.physics sim.runs",
     "sim.studies": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
@@ -90,7 +90,7 @@ MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 
 # What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none designs a controller.
 REACHES = {
-    "synth.analysis": "models.common models.document synth.plant",
+    "synth.analysis": "models.common models.document models.laws synth.plant",
     "synth.controller": "models.common models.characteristics models.document models.kinds models.laws models.parts "
     "models.vehicle synth.analysis synth.plant",
     "sim.inspect": "models.common models.characteristics models.document models.kinds models.laws models.roads models.parts "

@@ -10,6 +10,7 @@ from scipy import signal
 
 from models.common.errors import InputError
 from models.laws.filter import WEIGHTINGS, Filter
+from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
@@ -59,9 +60,9 @@ def by_scipy(one: Filter, omega: np.ndarray) -> np.ndarray:
     return signal.freqs(above, below, omega)[1]  # pyright: ignore[reportArgumentType]
 
 
-def response(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
+def response(law: LinearLaw) -> np.ndarray:
     """C (j omega - A)^-1 B + D, shape (F, p, k)."""
-    return C @ np.linalg.solve(1j * OMEGA[:, None, None] * np.eye(len(A)) - A, B[None].astype(complex)) + D
+    return law.C @ np.linalg.solve(1j * OMEGA[:, None, None] * np.eye(law.states) - law.A, law.B[None].astype(complex)) + law.D
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -71,7 +72,7 @@ def test_a_filter_is_its_polynomials(seed):
     expected = by_scipy(one, OMEGA)
     size = np.abs(expected).max()
     np.testing.assert_allclose(one.response(OMEGA), expected, rtol=1e-12)  # rounding of polynomials of degree 6 at most
-    np.testing.assert_allclose(response(*one.realisation)[:, 0, 0], expected, rtol=0, atol=1e-11 * size)  # and of a solution
+    np.testing.assert_allclose(response(one.realisation)[:, 0, 0], expected, rtol=0, atol=1e-11 * size)  # and of a solution
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_wk_is_that_of_the_ride():
     """The weight of a design is the weighting of the ride's metrics; its states have the range of its poles, and no more."""
     one = Filter(WEIGHTINGS["iso2631_wk"])
     np.testing.assert_allclose(one.response(OMEGA), wk(OMEGA), rtol=1e-13)  # rounding
-    np.testing.assert_allclose(response(*one.realisation)[:, 0, 0], wk(OMEGA), atol=1e-14)
+    np.testing.assert_allclose(response(one.realisation)[:, 0, 0], wk(OMEGA), atol=1e-14)
     assert np.abs(one.realisation.A).max() < 2 * 2 * np.pi * 100 / np.sqrt(0.5)  # twice its fastest pole's pair
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from synth.__main__ import main
 from synth.analysis.norm import hinf_norm
-from synth.controller.open_loop import continuous, sampled
+from synth.controller.loop_of import loop_of, radius
 from synth.controller.problem import generalized_plant, plant_states, problem
 from synth.controller.report import judged_lines
 from synth.plant.augmented import on_larger_plant
@@ -107,7 +108,7 @@ def test_norm_of_a_given_gain(noise, lag):
     at = found.norm.peak_frequency
     assert max(map(largest, np.geomspace(0.1, 1e4, 1000))) <= found.norm.value * (1 + 1e-9)  # rounding of the routes
     assert largest(at) == pytest.approx(found.norm.value, rel=1e-9)  # likewise
-    poles = np.linalg.eigvals((loop := continuous(vehicle, Designer(vehicle).design("one"))).model.A + loop.model.B @ loop.G)
+    poles = np.linalg.eigvals(loop_of(vehicle, Designer(vehicle).design("one")).closed_loop.A)
     if lag:  # sim's own loop has the lag in any case
         np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(poles), rtol=1e-9)
 
@@ -245,15 +246,14 @@ def test_messages_name_the_file(tmp_path):
 
 
 def test_a_law_too_fast_for_its_period():
-    """A B that is allowed, over a period, may be no number that is: one line says of what, and what to do."""
+    """A law's states in tiny units change nothing, until its continuous counterpart has numbers that are not allowed."""
     law = "A = [[0.5]]\nB = [[5e13]]\nC = [[1e-15]]\nD = [[0.0]]\nsample_period = 0.01\n"
     section = '[controllers.one]\nmeasured = ["sprung_velocity"]\n'
     vehicle = built(law, section=section, with_what="[implementation]\nsample_period = 0.01\n")
     controller = Designer(vehicle).design("one")
-    with pytest.raises(
-        InputError, match=r"controller 'one' cannot run every 0.01 s, because its states change too fast: .*B has an entry"
-    ):
-        sampled(vehicle, controller, 0.01)
+    usual = replace(controller, law=replace(controller.law, B=1e-13 * controller.law.B, C=1e13 * controller.law.C))
+    growth = [radius(loop_of(vehicle, one, 0.01)) for one in (controller, usual)]
+    assert growth[0] == pytest.approx(growth[1], rel=1e-12)
     assert any("Tustin" in line for line in judged_lines(controller))
     faster = built(law.replace("5e13", "1e15"), section=section, with_what="[implementation]\nsample_period = 0.01\n")
     with pytest.raises(InputError, match=r"\[controllers.one\] in its continuous counterpart \(Tustin\), B has an entry"):

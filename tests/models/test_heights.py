@@ -16,7 +16,6 @@ from models.roads.road import RoadInput
 from sim.linear.sampled_response import continuous_response
 from sim.runs.run import run_controllers
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.open_loop import LoopModel
 from synth.controller.report import STUDY, study_notes
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of, prose, refused
@@ -78,7 +77,7 @@ def test_measured_heights_over_a_bump(kind):
                           atol=1e-13, max_step=2e-3)  # fmt: skip
         return {"sprung_displacement": heights[0] @ found.y, "control_force": u[0] @ found.y}
 
-    response = continuous_response(LoopModel(vehicle, controller, 1e-3), RoadInput(vehicle, Bump(speed=SPEED), TIME))
+    response = continuous_response(controller, RoadInput(vehicle, Bump(speed=SPEED), TIME))
     right, wrong = own(GAINS), own(GAINS * [1.02, 1, 1, 1])
     for name, values in right.items():
         ours, peak = response[f"{name}{ROWS[kind][0]}"], np.abs(values).max()

@@ -71,7 +71,8 @@ def test_a_filter_with_a_pole_at_0(above, below):
     s = 1j * omega
     expected = np.polyval(above, s) / np.polyval(below, s)
     parts = []
-    for A, B, C, D in (one.realisation, one.remainder):
+    for law in (one.realisation, one.remainder):
+        A, B, C, D = law.A, law.B, law.C, law.D
         parts.append(D[0, 0] + (C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B[None].astype(complex)))[:, 0, 0])
     whole, rest = parts
     for found in (one.response(omega), whole, rest + one.residue / s):

@@ -27,7 +27,6 @@ from sim.physics.simulate import MonitoredBatch
 from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from sim.runs.start import start_effect
 from sim.runs.steps import EXACT
-from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer, design
 from tests.support.commands import prose, refused
 
@@ -217,9 +216,9 @@ def test_many_kinks_are_those_of_few(kind, monkeypatch):
     for one, controller in cars:
         on = RoadInput(one, Profile(*points(0.02, 0.01), V), np.arange(200) * 1e-3)
         monkeypatch.setattr(sim.linear.sampled_response, "FEW", 0)
-        many = continuous_response(LoopModel(one, controller, 1e-3), on)
+        many = continuous_response(controller, on)
         monkeypatch.setattr(sim.linear.sampled_response, "FEW", 10**9)
-        few = continuous_response(LoopModel(one, controller, 1e-3), on)
+        few = continuous_response(controller, on)
         monkeypatch.undo()
         for name in many.names:
             assert np.abs(many[name] - few[name]).max() <= 1e-12 * many.scale(name), name  # rounding of some hundred steps
@@ -484,7 +483,7 @@ def test_a_public_rough_road(tmp_path):
         low, high = np.interp([15 * start, 15 * end], x, z)
         state = (linalg.expm(A * (end - start)) @ [*state, low, (high - low) / (end - start)])[:4]
         travel[end] = state[0] - state[2]
-    response = continuous_response(LoopModel(vehicle, design(vehicle, "passive"), 1e-3), RoadInput(vehicle, road, time))
+    response = continuous_response(design(vehicle, "passive"), RoadInput(vehicle, road, time))
     own = np.array([travel[t] for t in time])
     assert response["suspension_deflection"] == pytest.approx(own, abs=1e-9 * np.abs(own).max())
 

@@ -31,7 +31,6 @@ from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
 from sim.runs.prediction import predicted
 from sim.runs.run import run_controllers, sample_times
-from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 from tests.support.analysed import simulate
 from tests.support.commands import environment, main_of, prose
@@ -242,7 +241,7 @@ def test_the_response_to_the_forces_of_a_loop_is_that_of_the_loop(vehicle):
     controller = Designer(vehicle).design("I")
     road = RoadInput(vehicle, Bump(track="left"), sample_times(vehicle, 0.2, 2e-3))
     for exponential in (linalg.expm, taylor4):
-        loop = sampled_response(LoopModel(vehicle, controller, 2e-3), road, exponential)
+        loop = sampled_response(controller, road, exponential)
         forces = np.stack([loop[name] for name in vehicle.linear_model.inputs], axis=-1)
         found = forced_response(forces, road, exponential)
         for name in vehicle.linear_model.outputs:

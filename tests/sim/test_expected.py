@@ -16,7 +16,7 @@ from sim.linear.frequency_response import sampled_frequency_response
 from sim.studies.ride.expected import EXACT, expect, sources
 from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.weighting import sampled_wk
-from synth.controller.open_loop import continuous
+from synth.controller.loop_of import with_lag
 from synth.vehicle.designer import Designer
 from tests.conftest import TEXTBOOK
 from tests.support.commands import attacks
@@ -55,8 +55,8 @@ def white_covariance(vehicle, controller, road):
     covariance is a sum of finite Gramians; the integral of exp(A t) Q exp(A' t) over 0..d is X - exp(A d) X exp(A' d), A X + X A'
     = -Q.
     """
-    loop = continuous(vehicle, controller)
-    model, G = loop.model, loop.G
+    model = with_lag(vehicle)
+    G = controller.law.D @ model.rows(controller.measured)[0]
     A, p = model.A + model.B @ G, vehicle.parameters
     delays = np.array([wheel.behind(p) / road.speed for wheel in vehicle.kind.wheels])
     kick, total, before = np.zeros((len(A), 1)), 0.0, 0.0
@@ -148,8 +148,8 @@ def held_variances(vehicle, designed, h, steps, delay):
     Returns:
         Shape (steps, p) and (steps,): of unit intensity.
     """
-    loop = continuous(vehicle, designed)
-    model, G = loop.model, loop.G
+    model = with_lag(vehicle)
+    G = designed.law.D @ model.rows(designed.measured)[0]
     assert not model.Br.any()
     n, m = model.B.shape
     augmented = np.zeros((n + m, n + m))

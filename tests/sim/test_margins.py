@@ -9,28 +9,35 @@ import pytest
 from scipy import optimize
 from scipy.linalg import expm
 
-from models.laws.linear import LinearLaw
+from models.common.arrays import Array
+from models.laws.linear import LinearLaw, static_law
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.controller.disk_margin import disk_margin
-from synth.controller.loop_transfer import LoopTransfer, loop_transfer
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
+from synth.controller.sample_period_margin import LONGEST, all_sampled, largest_sample_period, sampled_growth_at
 from synth.controller.stability_margins import (
-    LONGEST,
     _sign_changes,
     crossovers,
     gain_crossings,
-    largest_sample_period,
     margins,
-    sampled_gain_crossings,
 )
+from synth.plant.loop import HoldInterval, Loop
+from synth.plant.state_space import StateSpace
 from synth.vehicle.designer import design
 from tests.support.analysed import sampled_radius
 from tests.support.shared import designed
 
 
-def scalar(a: float, k: float) -> LoopTransfer:
+def loop_under(A: Array, B: Array, K: Array) -> Loop:
+    """x' = A x + B u, u = K x."""
+    n = len(A)
+    plant = StateSpace(A, B, np.eye(n), np.zeros((n, 1)), ("u",), tuple(f"x{i}" for i in range(n)))
+    return Loop(plant, static_law(K), plant.outputs, plant.inputs)
+
+
+def scalar(a: float, k: float) -> Loop:
     """x' = a x + u, u = -k x: every margin of it is known in closed form."""
-    return LoopTransfer(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]), np.zeros((1, 1)))
+    return loop_under(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]))
 
 
 @pytest.mark.parametrize(("a", "k"), [(-1.0, 3.0), (1.0, 3.0), (-1.0, 0.5)])
@@ -54,8 +61,9 @@ def test_scalar_loop(a, k):
 @pytest.mark.parametrize("name", ["state", "I", "II"])
 def test_phase_and_disk_margins_are_those_of_python_control(paper, designer, name):
     """The smaller one of lag and lead is the phase margin of python-control, and the disk margin is its own; II leads by more."""
-    loop = loop_transfer(paper, designer.design(name), [0])
-    found, open_ = margins(loop), control.ss(loop.A, loop.B, -loop.G, 0)
+    loop = loop_of(paper, designer.design(name))
+    found, cut = margins(loop), loop.cut(loop.forces)
+    open_ = control.ss(cut.A, cut.B, -cut.C, 0)
     _, phase, _, _, frequency, _ = control.stability_margins(open_)
     assert min(found.smallest_phase, found.lead) == pytest.approx(math.radians(abs(phase)), rel=1e-6)
     assert frequency == pytest.approx(found.frequency if name == "II" else found.lead_frequency, rel=1e-6)
@@ -68,32 +76,33 @@ def test_phase_and_disk_margins_are_those_of_python_control(paper, designer, nam
 
 def test_a_lead_makes_the_loop_unstable(paper, designer):
     """A lead of 0.398 rad is controller I's phase margin, by the poles of a turned gain and of a causal filter."""
-    loop = loop_transfer(paper, designer.design("I"), [0])
-    found = margins(loop)
+    whole = loop_of(paper, designer.design("I"))
+    found, loop = margins(whole), whole.cut(whole.forces)
     assert found.lead == pytest.approx(0.39806, abs=1e-5)
     assert found.lead_frequency == pytest.approx(1.80846, abs=1e-5)
     corner = found.lead_frequency * math.tan(found.lead / 2)
     for side in (1 - 1e-6, 1 + 1e-6):
-        poles = np.linalg.eigvals(loop.closed(np.exp(1j * side * found.lead)))
+        poles = np.linalg.eigvals(loop.loop_matrix(np.exp(1j * side * found.lead)))
         assert (poles.real.max() > 0) == (side > 1)
         # u = (s - a) / (s + a) v has magnitude 1 and leads by 2 atan(a / w). At rest it changes the sign: |L(0)| < 1 bears that.
         a = side * corner
-        filtered = np.block([[loop.A + loop.M, -2 * a * loop.B], [loop.G, np.array([[-a]])]])
+        filtered = np.block([[loop.loop_matrix(1.0), -2 * a * loop.B], [loop.C, np.array([[-a]])]])
         assert (np.linalg.eigvals(filtered).real.max() > 0) == (side > 1)
 
 
 def test_factors_within_the_disk_of_each_force():
     """A loop of two forces bears any complex factor of each within its disk margin, which is the peak of S - I / 2."""
     vehicle = read_vehicle("half_car")
-    loop = loop_transfer(vehicle, designed(vehicle, "I"), [0, 1])
+    loop = loop_of(vehicle, designed(vehicle, "I"))
+    loop = loop.cut(loop.forces)
     disk, forces = disk_margin(loop), 2
     rng = np.random.default_rng(20261126)
     inside = disk.size / 2 * 0.999 * np.exp(2j * np.pi * rng.uniform(size=(200, forces)))
     factors = (1 + inside) / (1 - inside)
-    assert np.linalg.eigvals(loop.A + (loop.B * factors[:, None, :]) @ loop.G).real.max() < 0
+    assert np.linalg.eigvals(loop.A + (loop.B * factors[:, None, :]) @ loop.C).real.max() < 0
     assert disk.gain[1] <= min(factor for factor in gain_crossings(loop) if factor > 1)
     omega = np.concatenate([[0.0], np.geomspace(0.05, 500, 2000)])
-    S = np.linalg.inv(np.eye(forces) - loop.transfer(omega))
+    S = np.linalg.inv(np.eye(forces) - loop.response(1j * omega))
     assert 1 / disk.size == pytest.approx(np.linalg.norm(S - np.eye(forces) / 2, 2, axis=(1, 2)).max(), rel=1e-3)  # of the grid
 
 
@@ -114,22 +123,23 @@ def test_crossovers_by_another_route(paper, name, delay):
     """
     text = paper.text if name != "felt" else paper.text.replace(*SOFT) + OF_ACCELERATION
     vehicle = parse_vehicle(text)
-    loop = loop_transfer(vehicle, designed(vehicle, name), [0])
+    whole = loop_of(vehicle, designed(vehicle, name))
+    loop = whole.cut(whole.forces)
 
     def excess(w):
-        return abs(loop.transfer(np.array([w]))[0, 0, 0]) - 1
+        return abs(loop.response(1j * np.array([w]))[0, 0, 0]) - 1
 
     grid = np.geomspace(1e-2, 1e3, 20_000)
-    signs = np.sign(np.abs(loop.transfer(grid)[:, 0, 0]) - 1)
+    signs = np.sign(np.abs(loop.response(1j * grid)[:, 0, 0]) - 1)
     changes = np.flatnonzero(np.diff(signs))
     roots = [float(optimize.root_scalar(excess, bracket=(grid[i], grid[i + 1]), xtol=1e-13).root) for i in changes]
     found = sorted(crossovers(loop), key=lambda crossover: crossover.frequency)
     np.testing.assert_allclose([one.frequency for one in found], roots, rtol=1e-9)  # both refined further
-    lags = np.angle(loop.transfer(np.array(roots))[:, 0, 0]) % (2 * np.pi)
+    lags = np.angle(loop.response(1j * np.array(roots))[:, 0, 0]) % (2 * np.pi)
     np.testing.assert_allclose([one.phase for one in found], lags, rtol=1e-8)
     if delay is not None:
-        assert margins(loop).delay == pytest.approx(np.min(lags / roots), rel=1e-8)
-        assert 1e3 * margins(loop).delay == pytest.approx(delay, abs=0.05)  # found by other means, with one decimal
+        assert margins(whole).delay == pytest.approx(np.min(lags / roots), rel=1e-8)
+        assert 1e3 * margins(whole).delay == pytest.approx(delay, abs=0.05)  # found by other means, with one decimal
 
 
 def test_many_actuators():
@@ -137,12 +147,13 @@ def test_many_actuators():
     vehicle = read_vehicle("half_car")
     controller = designed(vehicle, "I")
     for actuators in ([0], list(range(len(controller.gain)))):
-        loop = loop_transfer(vehicle, controller, actuators)
+        whole = loop_of(vehicle, controller)
+        loop = whole.cut([whole.forces[i] for i in actuators])
         for one in crossovers(loop):
-            eigenvalues = np.linalg.eigvals(loop.transfer(np.array([one.frequency]))[0])
+            eigenvalues = np.linalg.eigvals(loop.response(1j * np.array([one.frequency]))[0])
             assert np.abs(eigenvalues * np.exp(-1j * one.phase) - 1).min() < 1e-7  # as well as poles are refined
         for factor in gain_crossings(loop):
-            assert abs(np.linalg.eigvals(loop.A + factor * loop.M).real.max()) < 1e-7 * np.linalg.norm(loop.A, 2)
+            assert abs(np.linalg.eigvals(loop.loop_matrix(factor)).real.max()) < 1e-7 * np.linalg.norm(loop.A, 2)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +168,7 @@ def test_extremes_of_the_sample_period(paper, law, damping, low, high):
     """The search for the largest sample period ends: it finds none up to the longest, or one next to zero."""
     text = paper.text.replace("suspension_damping = 400", f"suspension_damping = {damping}")
     vehicle = parse_vehicle(f'{text}\n[controllers.c]\nmeasured = ["suspension_deflection"]\n{law}\n')
-    assert low <= largest_sample_period(loop_transfer(vehicle, design(vehicle, "c"), [0])) <= high
+    assert low <= largest_sample_period(loop_of(vehicle, design(vehicle, "c"))) <= high
     assert LONGEST < 2 * (13100 - 2000) / 100  # what the integral adds in a period is twice what holds the body
 
 
@@ -170,10 +181,11 @@ def test_sampled_loop(kind, name, actuators):
     controller, timestep = designed(vehicle, name), 1e-2
     mine = np.isin(np.arange(len(controller.gain)), actuators)
     if all(mine):
-        period = largest_sample_period(loop_transfer(vehicle, controller, actuators))
+        period = largest_sample_period(loop_of(vehicle, controller))
         radii = [sampled_radius(vehicle, controller, period * side) for side in (1 - 1e-6, 1 + 1e-6)]
         assert radii[0] < 1 < radii[1]
-    factors = [at for at in sampled_gain_crossings(*LoopModel(vehicle, controller, timestep).cut(actuators)) if at > 1]
+    loop = loop_of(vehicle, controller, timestep)
+    factors = [at for at in gain_crossings(loop.cut([loop.forces[i] for i in actuators])) if at > 1]
     for factor in factors:
         for side in (1 - 1e-8, 1 + 1e-8):
             with_gain = dataclasses.replace(controller, law=controller.law.scaled(np.where(mine, side * factor, 1.0)))
@@ -191,9 +203,9 @@ def test_a_factor_that_rounding_gives_twice_is_found():
 
 def test_conditionally_stable_loop():
     """A loop that needs its gain has a lower gain margin, sampled too: x' = x + u, u = -3 x is stable above a third."""
-    assert gain_crossings(scalar(1.0, 3.0)) == [pytest.approx(1 / 3, rel=1e-12)]
-    held = (math.exp(0.1) - 1) * np.ones((1, 1))
-    low, high = sampled_gain_crossings(np.array([[math.exp(0.1)]]), held, np.array([[-3.0]]))
+    loop = scalar(1.0, 3.0)
+    assert gain_crossings(loop.cut(loop.forces)) == [pytest.approx(1 / 3, rel=1e-12)]
+    low, high = gain_crossings(dataclasses.replace(loop, hold=(HoldInterval(0.1, 0),)).cut(loop.forces))
     assert low == pytest.approx(1 / 3, rel=1e-9)  # a pole at 1 stays there when sampled
     assert high == pytest.approx((math.exp(0.1) + 1) / (math.exp(0.1) - 1) / 3, rel=1e-9)
 
@@ -205,7 +217,10 @@ def test_a_law_with_states_is_sampled_where_it_is_cut(actuators):
     controller = designed(vehicle, "I")
     fast = 2e4 * np.pi * np.eye(4)
     filtered = dataclasses.replace(controller, law=LinearLaw(-fast, fast, controller.gain, np.zeros((2, 4))))
-    plain, behind = (largest_sample_period(loop_transfer(vehicle, one, actuators)) for one in (controller, filtered))
+    plain, behind = (
+        largest_sample_period(loop, [loop.forces[i] for i in actuators])
+        for loop in (loop_of(vehicle, one) for one in (controller, filtered))
+    )
     assert behind == pytest.approx(plain, rel=5e-4)  # the filters' delay of 16 us, of a period of 62 ms
     assert math.isinf(plain) == (actuators == [0])
 
@@ -220,13 +235,13 @@ def test_integrators_that_two_forces_share_are_sampled_together():
     A, B, D = np.zeros((2, 2)), np.eye(2), -2000 * np.eye(2)
     for C, together in ((-500 * np.eye(2), False), (-500 * np.array([[1.0, 0.2], [0.2, 1.0]]), True)):
         one = dataclasses.replace(designed(vehicle, "I"), measured=measured, law=LinearLaw(A, B, C, D))
-        alone, whole = (loop_transfer(vehicle, one, actuators) for actuators in ([0], [0, 1]))
-        assert alone.sampling is not None
-        assert alone.sampling.whole == together
-        periods = [largest_sample_period(loop) for loop in (alone, whole)]
+        loop = loop_of(vehicle, one)
+        cuts = loop.forces[:1], loop.forces
+        assert all_sampled(loop, cuts[0]) == together
+        periods = [largest_sample_period(loop, forces) for forces in cuts]
         assert (periods[0] == periods[1]) == together
-        for loop, period in zip((alone, whole), periods, strict=True):
-            assert loop.sampled_growth(0.99 * period) < 0 < loop.sampled_growth(1.01 * period)
+        for forces, period in zip(cuts, periods, strict=True):
+            assert sampled_growth_at(loop, forces, 0.99 * period) < 0 < sampled_growth_at(loop, forces, 1.01 * period)
 
 
 def test_an_instability_shorter_than_a_step_is_found():
@@ -235,11 +250,12 @@ def test_an_instability_shorter_than_a_step_is_found():
     The search steps by 37 us. There a pole passes -1, which is where the pole's own equation says: by another route.
     """
     mode = np.array([[-0.002, 1360.0, 0.0], [-1360.0, -0.002, 0.0], [0.0, 0.0, -30.0]])
-    loop = LoopTransfer(mode, np.array([[0.0], [1.0], [1.0]]), np.array([[0.0, -0.05, -1.0]]), np.zeros((1, 1)))
+    B, K = np.array([[0.0], [1.0], [1.0]]), np.array([[0.0, -0.05, -1.0]])
+    loop = loop_under(mode, B, K)
     found = largest_sample_period(loop)
-    growth = [loop.sampled_growth(found + shift) for shift in (-37e-6, -1e-9, 1e-9, 0.2e-6, 37e-6)]
+    growth = [sampled_growth_at(loop, loop.forces, found + shift) for shift in (-37e-6, -1e-9, 1e-9, 0.2e-6, 37e-6)]
     assert [one > 0 for one in growth] == [False, False, True, False, False]
     assert found == pytest.approx(np.pi / 1360, rel=1e-4)
     exact = expm(mode * found)
-    held = np.linalg.solve(mode, exact - np.eye(3)) @ loop.B  # the integral of exp(A s) B, as A is regular
-    assert np.linalg.det(exact + held @ loop.G + np.eye(3)) == pytest.approx(0.0, abs=1e-9)  # of 4
+    held = np.linalg.solve(mode, exact - np.eye(3)) @ B  # the integral of exp(A s) B, as A is regular
+    assert np.linalg.det(exact + held @ K + np.eye(3)) == pytest.approx(0.0, abs=1e-9)  # of 4

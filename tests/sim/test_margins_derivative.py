@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.laws.linear import LinearLaw
+from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.nonlinear_elements import at_rest
@@ -20,7 +20,9 @@ from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
-from synth.controller.stability_margins import sampled_margins
+from synth.controller.stability_margins import margins
+from synth.plant.loop import HoldInterval, Loop
+from synth.plant.state_space import StateSpace
 from synth.vehicle.designer import certify_given
 from tests.support.analysed import sampled_radius
 from tests.support.shared import designed
@@ -105,9 +107,10 @@ def test_margins_are_those_of_the_loop_as_built(paper, tmp_path, capsys):
 
 def test_sampled_margins_are_those_of_python_control():
     """Gain, phase and disk margin of a sampled loop are those of python-control for the same transfer function in z."""
-    Phi, Gamma = np.array([[0.9, 0.1, 0.0], [-0.1, 0.85, 0.3], [0.0, 0.0, 0.0]]), np.array([[0.0], [0.0], [1.0]])  # a sample late
-    G = np.array([[-1.0, -0.2, 0.0]])
-    found, loop = sampled_margins(Phi, Gamma, G, 0.1), control.ss(Phi, Gamma, -G, 0, 0.1)
+    A, B, K = np.array([[-1.0, 1.0], [-1.0, -1.6]]), np.array([[0.0], [9.0]]), np.array([[-1.0, -0.2]])
+    plant = StateSpace(A, B, np.eye(2), np.zeros((2, 1)), ("u",), ("x1", "x2"))
+    found = margins(Loop(plant, static_law(K), plant.outputs, ("u",), hold=(HoldInterval(0.1, 1),)))  # a sample late
+    loop = control.sample_system(control.ss(A, B, -K, 0), 0.1) * control.ss(0, 1, 1, 0, 0.1)
     gain, phase, _, _, frequency, _ = control.stability_margins(loop)
     assert found.gain == pytest.approx(gain, rel=1e-6)
     assert min(found.smallest_phase, found.lead) == pytest.approx(math.radians(abs(phase)), rel=1e-6)

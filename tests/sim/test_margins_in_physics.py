@@ -20,13 +20,12 @@ from sim.studies.stability.margin_search import GainMargin, LoopMargins, find_ma
 from sim.studies.stability.report import MARGINS, _loop_object, _loop_rows
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
-from synth.controller.loop_transfer import loop_transfer
-from synth.controller.stability_margins import (
-    gain_crossings,
-    largest_sample_period,
-)
+from synth.controller.loop_of import loop_of
+from synth.controller.sample_period_margin import largest_sample_period
+from synth.controller.stability_margins import gain_crossings
 from synth.vehicle.designer import certify_given, design
 from tests.conftest import recorded_runs
+from tests.support.analysed import cut_loop
 from tests.support.commands import attacks
 from tests.support.shared import designed
 
@@ -80,7 +79,7 @@ def test_one_force_sampled_in_physics():
     vehicle = read_vehicle("half_car")
     controller, lags = designed(vehicle, "I"), np.diag([40.0, 60.0, 50.0, 70.0])
     lagging = dataclasses.replace(controller, law=LinearLaw(-lags, lags, controller.gain, np.zeros((2, 4))))
-    assert largest_sample_period(loop_transfer(vehicle, lagging, [0, 1])) == pytest.approx(0.0828, abs=1e-4)
+    assert largest_sample_period(loop_of(vehicle, lagging)) == pytest.approx(0.0828, abs=1e-4)
     one = searches(vehicle, lagging, [1], 2e-3)
     search_and_run([one.sample_period])
     assert one.predicted.sample_period == pytest.approx(0.0854, abs=1e-4)
@@ -225,7 +224,7 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     slow, strong = dataclasses.replace(vehicle, limits=Limits(actuator_bandwidth=60.0)), design(vehicle, "strong")
     assert find_fragility(vehicle, strong, 8e-3).predicted.stable.smallest_violation == math.inf
     found = find_fragility(slow, strong, 1e-3)
-    (factor,) = (at for at in gain_crossings(loop_transfer(slow, strong, [0])) if at > 1)
+    (factor,) = (at for at in gain_crossings(cut_loop(slow, strong)) if at > 1)
     assert found.edge.own == pytest.approx(factor - 1, rel=1e-6)  # the gain margin, by another way
     assert found.edge.finer.searched
     assert found.edge.found == pytest.approx(found.edge.own, rel=2e-2)  # second order in the step

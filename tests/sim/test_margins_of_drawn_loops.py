@@ -13,7 +13,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.physics.simulate import simulate
 from sim.studies.stability.fragility import find_fragility
 from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of, searches
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
 from synth.vehicle.designer import certify_given, design
 from tests.support.commands import attacks
 
@@ -66,7 +66,7 @@ def drawn_loop(seed):
             names = [""] if kind == "quarter_car" else ["_front", "_rear"]
             controller = certify_given(vehicle, "c", *drawn_law(rng, names, len(names)))
         ideal = dataclasses.replace(vehicle, implementation=Implementation())
-        radii = [LoopModel(each, controller, TIMESTEP).radius for each in (vehicle, ideal)]
+        radii = [radius(loop_of(each, controller, TIMESTEP)) for each in (vehicle, ideal)]
         if controller.certificate.stable and max(radii) < 1 - 1e-6:
             return vehicle, ideal, controller
 

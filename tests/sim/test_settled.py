@@ -10,7 +10,7 @@ from models.laws.linear import static_law
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import read_vehicle
-from sim.linear.frequency_response import leaps_by_step, stepwise_frequency_response
+from sim.linear.frequency_response import stepwise_frequency_response
 from sim.studies.ride.expected import expect, settled, settled_shares, sources
 from synth.vehicle.designer import Designer, certify_given
 from tests.support.analysed import sampled_responses
@@ -51,8 +51,10 @@ def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controlle
     comes_to = expect(vehicle, designed, road.spectrum, h, 10.0)
     white = (2 * np.pi * 0.1) ** 2 * 256e-6 * road.speed * road.speed / road.length
     assert comes_to is not None
-    by_step = stepwise_frequency_response(vehicle, designed, omega, h)[:-1] @ sources(vehicle, road.spectrum, omega)
-    leaps = leaps_by_step(vehicle, designed, omega, h) @ sources(vehicle, road.spectrum, omega)
+    values, leaps = (
+        one @ sources(vehicle, road.spectrum, omega) for one in stepwise_frequency_response(vehicle, designed, omega, h)
+    )
+    by_step = values[:-1]
     sides = [np.moveaxis(np.sum(np.abs(one) ** 2, axis=(1, 3)), 1, 0) for one in (by_step, by_step - leaps / 2)]
     by_step, midway = (dict(zip(vehicle.linear_model.outputs, one, strict=True)) for one in sides)
     for start in (0.056, 0.2, 0.504, 1.0):  # s; the half car's rear wheel comes at 0.13 s

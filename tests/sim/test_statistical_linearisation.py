@@ -124,7 +124,7 @@ def test_the_line_is_consistent_and_the_body_stands_lower():
         low, high = road.band
         omega = np.geomspace(0.002, 200, 10_000)  # rad/s; above, the road moves travel by 1e-5 of it
         inside = (omega >= low) & (omega <= high)
-        at_steps = stepwise_frequency_response(line.vehicle, controller, omega, h, beyond.pulls)
+        at_steps = stepwise_frequency_response(line.vehicle, controller, omega, h, beyond.pulls)[0]
         amplitudes = at_steps[0] @ beyond.sources(line.vehicle, road, omega, h, at_steps)
         power = np.sum(np.abs(amplitudes) ** 2, axis=-1) * road.density
         deviations = np.sqrt(np.trapezoid(power, omega / (2 * np.pi), axis=0))

@@ -7,21 +7,22 @@ each frequency, weighed against each other by one number: 0.01 for comfort, 0.99
 
 import numpy as np
 
-from synth.plant.augmented import System, append, gain, generalized, series, transfer_function
+from synth.plant.augmented import append, gain, generalized, series, transfer_function
 from synth.plant.generalized import GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 SCENARIOS = (0.01, 0.5, 0.99)
 PRINTED = {0.01: (0.94, 0.93962), 0.5: (0.67, 0.67222), 0.99: (0.89, 0.88515)}  # norms printed there, and by LMI elsewhere
 BODY, WHEEL, DAMPING, SPRING, TYRE = 300.0, 60.0, 1000.0, 16000.0, 190000.0  # kg, kg, N s/m, N/m, N/m
 
 
-def quarter_car() -> System:
+def quarter_car() -> StateSpace:
     """From the road's height [m] and a force [kN] to suspension deflection [m] and body acceleration [m/s2]."""
     body = np.array([-SPRING, -DAMPING, SPRING, DAMPING]) / BODY
     wheel = np.array([SPRING, DAMPING, -SPRING - TYRE, -DAMPING]) / WHEEL
     A = np.array([[0, 1, 0, 0], body, [0, 0, 0, 1], wheel])
     B = np.array([[0, 0], [0, 1e3 / BODY], [0, 0], [TYRE / WHEEL, -1e3 / WHEEL]])
-    return System(A, B, np.array([[1, 0, -1, 0], body]), np.array([[0, 0], [0, 1e3 / BODY]]))
+    return StateSpace(A, B, np.array([[1, 0, -1, 0], body]), np.array([[0, 0], [0, 1e3 / BODY]]))
 
 
 def active_suspension(handling: float) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
@@ -29,7 +30,7 @@ def active_suspension(handling: float) -> tuple[GeneralizedPlant, np.ndarray, np
     actuator = transfer_function([1], [1 / 60, 1])
     # [w; u] -> [road, force, noise, noise, u]
     asked = series(gain([[1], [1]]), append(actuator, gain(1)))
-    into = append(gain(0.07), gain(np.eye(2)), asked)[[0, 3, 1, 2, 4], :]
+    into = series(append(gain(0.07), gain(np.eye(2)), asked), gain(np.eye(5)[[0, 3, 1, 2, 4]]))
     # -> [deflection, acceleration, noise, noise, u] -> [u, acceleration, deflection, y]
     signals = series(into, append(quarter_car(), gain(np.eye(3))))
     chosen = gain([[0, 0, 0, 0, 1], [0, 1, 0, 0, 0], [1, 0, 0, 0, 0], [1, 0, 0.01, 0, 0], [0, 1, 0, 0.5, 0]])

@@ -20,36 +20,34 @@ from sim.response.response import Response
 from sim.runs import prediction
 from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, SampledClosedLoop
+from synth.controller.loop_of import loop_of, radius
+from synth.plant.state_space import StateSpace
 
 Exponential = Callable[[Array], Array]
 
 
-def loop(vehicle: Vehicle, controller: Controller, time: Array) -> LoopModel:
-    """Returns the loop at the timestep of some sample times."""
-    return LoopModel(vehicle, controller, float(time[1] - time[0]))
-
-
 def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) -> float:
-    return LoopModel(vehicle, controller, timestep).radius
+    return radius(loop_of(vehicle, controller, timestep))
 
 
-def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledClosedLoop:
-    return LoopModel(vehicle, controller, timestep).closed_loop
+def cut_loop(vehicle: Vehicle, controller: Controller, timestep: float | None = None) -> StateSpace:
+    """The loop cut at all forces, in continuous time or sampled."""
+    loop = loop_of(vehicle, controller, timestep)
+    return loop.cut(loop.forces)
 
 
 def sampled_response(
     vehicle: Vehicle, controller: Controller, road: Road, time: Array, exponential: Exponential = linalg.expm
 ) -> Response:
-    return linear.sampled_response(loop(vehicle, controller, time), RoadInput(vehicle, road, time), exponential)
+    return linear.sampled_response(controller, RoadInput(vehicle, road, time), exponential)
 
 
 def sampled_responses(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
-    return linear.sampled_responses(loop(vehicle, controller, time), [RoadInput(vehicle, road, time) for road in roads])
+    return linear.sampled_responses(controller, [RoadInput(vehicle, road, time) for road in roads])
 
 
 def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Response:
-    return linear.continuous_response(loop(vehicle, controller, time), RoadInput(vehicle, road, time))
+    return linear.continuous_response(controller, RoadInput(vehicle, road, time))
 
 
 def simulate(
@@ -64,4 +62,4 @@ def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: f
 
 
 def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
-    return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
+    return prediction.predict(controller, RoadInput(vehicle, road, time), most_states)

@@ -18,8 +18,8 @@ from synth import design_controllers
 from synth.__main__ import main as synth
 from synth.controller.disk_margin import disk_margin
 from synth.controller.law_margins import law_margins
-from synth.controller.loop_transfer import loop_transfer
 from synth.controller.stability_margins import gain_crossings
+from tests.support.analysed import cut_loop
 from tests.support.commands import main_of, prose, refused
 from tests.synth.test_windup import FAST, SLOW, limited, section, semi_active
 
@@ -124,7 +124,7 @@ def test_margins_are_those_of_the_ideal_loop(name):
     """Gain and disk margin are those that `sim.margins` predicts for the ideal loop, whatever the limits of the file."""
     vehicle = LAWS[name]
     (controller,) = design_controllers(vehicle, [name])
-    loop = loop_transfer(vehicle, controller, range(len(controller.law.D)))
+    loop = cut_loop(vehicle, controller)
     found = law_margins(replace(vehicle, limits=Limits(actuator_bandwidth=30.0)), controller)
     factors = gain_crossings(loop)
     assert found.gain == pytest.approx(min(each for each in factors if each > 1), rel=1e-8)  # bisected to 1e-9

@@ -24,17 +24,16 @@ from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.analysis.certificate import Certificate, certify
 from synth.controller.controller import Controller
-from synth.controller.loop_transfer import loop_transfer
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
 from synth.controller.problem import generalized_plant
+from synth.controller.sample_period_margin import largest_sample_period
 from synth.controller.stability_margins import (
     crossovers,
     gain_crossings,
-    largest_sample_period,
     margins,
-    sampled_gain_crossings,
 )
 from synth.vehicle.designer import Designer
+from tests.support.analysed import cut_loop, sampled_radius
 from tests.support.commands import attacks
 from tests.support.shared import made
 
@@ -92,7 +91,7 @@ def test_a_static_law_is_a_law_without_states():
     omega = np.geomspace(0.1, 1000, 50)
     found = [continuous_frequency_response(vehicle, each, omega) for each in (one, other)]
     np.testing.assert_allclose(*found, rtol=1e-10)
-    first, second = (margins(loop_transfer(vehicle, each, [0])) for each in (one, other))
+    first, second = (margins(loop_of(vehicle, each)) for each in (one, other))
     assert first.gain == pytest.approx(second.gain, rel=1e-9)
     assert first.delay == pytest.approx(second.delay, rel=1e-9)
     assert first.sample_period == pytest.approx(second.sample_period, rel=1e-9)
@@ -146,14 +145,14 @@ def test_margins_of_a_loop_with_an_accelerometer(acceleration):
     section = f'[controllers.mine]\nmeasured = ["suspension_deflection", "{acceleration}"]\n{law}'
     vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n{section}")
     one = Designer(vehicle).design("mine")
-    loop = loop_transfer(vehicle, one, [0])
-    found = margins(loop)
+    whole = loop_of(vehicle, one)
+    found, loop = margins(whole), whole.cut(whole.forces)
     scaled = replace(one, law=one.law.scaled(found.gain))
     assert abs(np.linalg.eigvals(scaled.loop(vehicle).A).real.max()) < 1e-7 * np.abs(loop.A).max()
     at = np.exp(-1j * found.frequency * found.delay)
-    assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
-    Phi, Gamma, G = LoopModel(vehicle, one, largest_sample_period(loop)).cut()
-    assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
+    assert abs(np.linalg.eigvals(loop.response(1j * np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
+    sampled = loop_of(vehicle, one, largest_sample_period(whole)).closed_loop
+    assert np.abs(np.linalg.eigvals(sampled.A)).max() == pytest.approx(1, abs=1e-9)
 
 
 def test_growth_that_creeps_is_seen():
@@ -163,7 +162,7 @@ def test_growth_that_creeps_is_seen():
     stiffness = vehicle.parameters["suspension_stiffness"]
     law = LinearLaw(*(np.array(one) for one in ([[-2.0]], [[2.0]], [[stiffness / 3]], [[0.0]])), sample_period=None)
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
-    assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
+    assert gain_crossings(cut_loop(vehicle, one)) == [pytest.approx(3, rel=1e-9)]
     trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
     step = step_derivative(vehicle, 2e-3)
     rates = rates_of_runs(trials, [simulated_loop(step, trial) for trial in trials])
@@ -178,8 +177,8 @@ def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_wi
     vehicle = read_vehicle("quarter_car")
     mass = vehicle.parameters["sprung_mass"]
     one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(-np.full((1, 1), mass / 5)))
-    assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(5, rel=1e-9)]
-    errors = [sampled_gain_crossings(*LoopModel(vehicle, one, step).cut())[0] - 5 for step in (1e-4, 5e-5)]
+    assert gain_crossings(cut_loop(vehicle, one)) == [pytest.approx(5, rel=1e-9)]
+    errors = [gain_crossings(cut_loop(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
     assert 0 < errors[0] < 0.01  # of first order in the step
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.01)
 
@@ -262,11 +261,11 @@ def test_no_crossover_is_missed(bandwidth, unit):
     names = ("suspension_deflection", "sprung_acceleration")
     static = replace(plain, measured=vehicle.linear_model.states, law=static_law(np.array([[11810.0, 2333.0, -1096.0, 109.0]])))
     for one in (replace(plain, measured=names, law=law), static):
-        loop = loop_transfer(vehicle, one, [0])
+        loop = cut_loop(vehicle, one)
         omega = np.geomspace(1e-2, 1e4, 5_000)
 
         def excess(w, loop=loop):
-            return np.abs(loop.transfer(np.atleast_1d(w))[:, 0, 0]) - 1
+            return np.abs(loop.response(1j * np.atleast_1d(w))[:, 0, 0]) - 1
 
         at = np.flatnonzero(np.diff(excess(omega) > 0))
         crossings = np.array([optimize.brentq(lambda w: float(excess(w)[0]), *omega[i : i + 2], xtol=1e-12) for i in at])
@@ -280,13 +279,10 @@ def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
     vehicle = read_vehicle("quarter_car")
     gain = share * vehicle.parameters["sprung_mass"]
     one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(np.array([[-gain]])))
-    loop = loop_transfer(vehicle, one, [0])
+    loop = loop_of(vehicle, one)
     found = margins(loop)
-    assert loop.comes_back == pytest.approx(share, rel=1e-12)
-    radii = [
-        np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max()
-        for Phi, Gamma, G in (LoopModel(vehicle, one, h).cut() for h in (1e-3, 1e-6))
-    ]
+    assert loop.direct_radius == pytest.approx(share, rel=1e-12)
+    radii = [sampled_radius(vehicle, one, h) for h in (1e-3, 1e-6)]
     if share < 1:
         assert found.delay > 0
         assert found.gain == pytest.approx(1 / share, rel=1e-9)

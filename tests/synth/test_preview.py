@@ -30,7 +30,6 @@ from synth import closed_loop, law_system
 from synth.command.save import saved_text
 from synth.controller.controller import Controller
 from synth.controller.export.matlab import mat_file
-from synth.controller.open_loop import LoopModel
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.preview import preview_design
 from synth.design.full_order.quadratic import lqr_design
@@ -211,8 +210,7 @@ def test_the_continuous_response_depends_on_no_step(kind, road):
     """The continuous response is exact: steps of which the preview is no whole number make the same, of kinks and lines."""
     vehicle, designed = car(kind), controller(kind)
     whole, other = (
-        continuous_response(LoopModel(vehicle, designed, h), RoadInput(vehicle, road, np.arange(round(0.42 / h) + 1) * h))
-        for h in (1e-3, 7e-4)
+        continuous_response(designed, RoadInput(vehicle, road, np.arange(round(0.42 / h) + 1) * h)) for h in (1e-3, 7e-4)
     )
     for name in vehicle.linear_model.states:
         one, two = whole[name][::7], other[name][::10]
@@ -225,8 +223,7 @@ def test_a_vertical_step_is_the_limit_of_steep_ones():
     vehicle, time = car("quarter_car", preview=0.05), np.arange(201) * 1e-3
     designed = controller("quarter_car", 0.05)
     steep, steeper, vertical = (
-        continuous_response(LoopModel(vehicle, designed, 1e-3), RoadInput(vehicle, Step(0.01, edge, 8.0, 0.1), time)).values
-        for edge in (2e-3, 1e-3, 0.0)
+        continuous_response(designed, RoadInput(vehicle, Step(0.01, edge, 8.0, 0.1), time)).values for edge in (2e-3, 1e-3, 0.0)
     )
     apart = np.abs(2 * steeper - steep - vertical)[[*range(100), *range(102, 201)]]  # but at the edge itself
     assert np.all(apart.max(axis=0) <= 1e-4 * np.abs(vertical).max(axis=0) + 1e-12)  # of second order in 0.25 ms: 2e-5
@@ -241,7 +238,7 @@ def test_frequency_responses_are_those_of_time():
     """A sinusoid of the road comes to what the sampled frequency response says, and for short steps the continuous one says."""
     vehicle, designed, h, omega = car(), controller(), 5e-3, 9.0
     time = np.arange(round(160.0 / h)) * h  # the slowest mode then is 1e-12 of its start
-    run = sampled_response(LoopModel(vehicle, designed, h), RoadInput(vehicle, sinusoid(omega, 10.0), time))
+    run = sampled_response(designed, RoadInput(vehicle, sinusoid(omega, 10.0), time))
     last = time > 140.0
     shapes = np.stack([np.cos(omega * time[last]), -np.sin(omega * time[last]), np.ones(last.sum())], axis=-1)
     real, imaginary, _ = np.linalg.lstsq(shapes, np.stack([run[name][last] for name in vehicle.linear_model.outputs], -1))[0]

@@ -24,13 +24,13 @@ from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.loop_transfer import loop_transfer
-from synth.controller.stability_margins import largest_sample_period
+from synth.controller.loop_of import loop_of
+from synth.controller.sample_period_margin import largest_sample_period
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import describe, drawn_periods, rates_figure
-from tests.support.analysed import implemented_loop, sampled_radius
+from tests.support.analysed import sampled_radius
 from tests.support.commands import attacks, once, prose
 from tests.support.rewriting import contents, written
 from tests.support.shared import made
@@ -294,7 +294,7 @@ def test_it_is_lost_where_the_margins_say(car, name):
     """The rate at which a loop is lost is the margin of its sample period, which another way finds."""
     vehicle = read_vehicle(car)
     controller = design(vehicle, name)
-    margin = largest_sample_period(loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))))
+    margin = largest_sample_period(loop_of(vehicle, controller))
     # Either is found to 1e-12 of it, or there is none up to a second.
     assert made(lost_anew, vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
 
@@ -307,7 +307,7 @@ def test_it_is_lost_there_and_not_before(car, delay):
 
     def growth(period: float) -> float:
         built = replace(vehicle, implementation=Implementation(delay=delay))
-        return sampled_growth(implemented_loop(built, controller, period).transition)
+        return sampled_growth(loop_of(built, controller, period).closed_loop.A)
 
     lost = made(lost_anew, vehicle, controller, delay)
     assert growth(lost * (1 + 1e-6)) > 1

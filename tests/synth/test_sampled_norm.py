@@ -25,9 +25,10 @@ from synth.analysis.sampled_norm import SampledNorm, reached_gain, sampled_norm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
+from synth.controller.loop_of import loop_of
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import design
-from tests.support.analysed import implemented_loop, simulate
+from tests.support.analysed import simulate
 from tests.support.commands import attacks
 from tests.support.shared import made
 
@@ -226,7 +227,7 @@ def test_the_loop_is_the_one_that_runs():
             loop = sampled_loop(built, controller)
             change, _ = loop.closed(loop.increment)
             growth = sampled_growth(np.eye(len(change)) + change)
-            expected = sampled_growth(implemented_loop(built, controller, 1e-3).transition)
+            expected = sampled_growth(loop_of(built, controller, 1e-3).closed_loop.A)
             assert growth == pytest.approx(expected, rel=1e-9)  # rounding of eigenvalues
             assert sampled_norm(loop).gap < 1e-9
 

@@ -22,7 +22,6 @@ from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Length, PositiveSpeed, Time
 from models.common.errors import InputError
 from models.laws.filter import Filter
-from models.laws.linear import LinearLaw
 from models.roads.road import RoadInput
 from models.roads.sinusoids import chirp
 from models.roads.spectrum import as_met
@@ -35,7 +34,8 @@ from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
 from synth.controller.controller import Controller, check_fits, has_anti_windup
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
+from synth.plant.loop import Loop
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
@@ -130,7 +130,7 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
 
 def _filtered(one: Filter, values: Array, period: float) -> Array:
     """Returns a signal through a filter, from rest."""
-    law = LinearLaw(*one.realisation).sampled(period)
+    law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # half a second
 
     return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
@@ -266,7 +266,7 @@ def fit(
     """
     response, timestep = response.samples(slice(-samples, None)), float(response.time[1] - response.time[0])
     if steps_per_sample(vehicle.implementation, timestep) > 1 and controller.measured:
-        loop = LoopModel(vehicle, controller, timestep)
+        loop = loop_of(vehicle, controller, timestep)
         response = without_slow_motion(loop, response, settling_of(loop, SETTLED)[1], omega * loop.period)
     time, samples = response.time, len(response.time)
     if not np.all(np.isfinite(response.values)):
@@ -288,8 +288,7 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
         if controller.measured:
             return np.zeros((samples, 0))  # see `lead_in`
         vehicle = replace(vehicle, implementation=Implementation())
-    loop = LoopModel(vehicle, controller, timestep).closed_loop.transition
-    poles = np.linalg.eigvals(loop)
+    poles = np.linalg.eigvals(loop_of(vehicle, controller, timestep).closed_loop.A)
     poles = poles[np.abs(poles) > DEAD ** (1 / samples)].astype(complex)
     motion = np.exp(np.multiply.outer(np.arange(samples), np.log(poles)))
     return np.hstack([np.real(motion), np.imag(motion)])
@@ -304,18 +303,18 @@ def lead_in(vehicle: Vehicle, controller: Controller, timestep: float, period: i
     steps = steps_per_sample(vehicle.implementation, timestep)
     if steps == 1 or not controller.measured:
         return period
-    settling, _ = settling_of(LoopModel(vehicle, controller, timestep), SETTLED)
+    settling, _ = settling_of(loop_of(vehicle, controller, timestep), SETTLED)
     return max(period, steps * math.ceil(settling / (steps * timestep)))
 
 
-def settling_of(loop: LoopModel, left: float) -> tuple[float, Array]:
+def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
     """Returns how long a run along a periodic road settles [s], and the poles of what is left then, from sample to sample."""
-    poles = np.linalg.eigvals(loop.closed_loop.transition)
+    poles = np.linalg.eigvals(loop.closed_loop.A)
     slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
-    return (PATIENCE, slow) if len(slow) else (loop.timestep * math.log(left) / math.log(loop.radius), slow)
+    return (PATIENCE, slow) if len(slow) else (loop.period / len(loop.by_step) * math.log(left) / math.log(radius(loop)), slow)
 
 
-def without_slow_motion(loop: LoopModel, response: Response, poles: Array, turns: Array) -> Response:
+def without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
     """Returns a run along a periodic road without its mean and its slowest modes, which are fitted by least squares.
 
     From sample to sample each line of the road turns by an angle, and a mode is multiplied by its pole, at each step of a sample
@@ -328,7 +327,8 @@ def without_slow_motion(loop: LoopModel, response: Response, poles: Array, turns
     """
     if not len(poles) or not np.all(np.isfinite(response.values)):
         return response
-    count, steps = len(response.time) // loop.steps, loop.steps
+    steps = len(loop.by_step)
+    count = len(response.time) // steps
     whole = response.values[-count * steps :]
     k = np.arange(count)
     decay = np.exp(np.multiply.outer(k, np.log(poles.astype(complex))))
@@ -349,9 +349,9 @@ def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float,
     if not 1e-6 <= amplitude <= 1:
         raise InputError(f"amplitude = {amplitude:g} m is not allowed; give a number from 1e-06 to 1 m")
     for controller in controllers:
-        radius = LoopModel(vehicle, controller, timestep).radius
-        if radius >= 1:
+        growth = radius(loop_of(vehicle, controller, timestep))
+        if growth >= 1:
             raise InputError(
                 f"the loop with controller {controller.name!r} has no frequency response, because its motion does not decay (a "
-                f"timestep multiplies it by {radius:.6g}); give another controller, or a smaller timestep"
+                f"timestep multiplies it by {growth:.6g}); give another controller, or a smaller timestep"
             )

@@ -30,7 +30,6 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import (
     WorstSinusoid,
-    leaps_by_step,
     sampled_frequency_response,
     sinusoid_gains,
     stepwise_frequency_response,
@@ -57,8 +56,9 @@ from sim.studies.frequency.identification import (
 )
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
 from synth.controller.problem import road_twist_inputs
+from synth.plant.loop import Loop
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def _drive_worst(
     """Yields, for every controller, its worst sinusoid's last whole periods, once it has settled, and its frequency [rad/s]."""
     samples = [_next_to(one, vehicle, each, timestep, speed) for one, each in zip(worst, controllers, strict=True)]
     tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
-    loops = [LoopModel(vehicle, controller, timestep) for controller in controllers]
+    loops = [loop_of(vehicle, controller, timestep) for controller in controllers]
     settling, slow = zip(*(settling_of(loop, SETTLED) for loop in loops), strict=True)
     lengths = [_told(loop, poles, count) for loop, poles, (_, count) in zip(loops, slow, samples, strict=True)]
     time = sample_times(vehicle, max(settling) + timestep * max(lengths), timestep)
@@ -267,14 +267,14 @@ def _drive_worst(
         yield steady.samples(slice(-samples[i][1], None)), omega
 
 
-def _steady(loop: LoopModel, response: Response, length: int, poles: Array, turn: float) -> Response:
+def _steady(loop: Loop, response: Response, length: int, poles: Array, turn: float) -> Response:
     """Returns the last samples of a run along a road that turns by an angle [rad] from sample to sample, without slow motion."""
     return without_slow_motion(loop, response.samples(slice(-length, None)), poles, np.array([turn]))
 
 
-def _told(loop: LoopModel, poles: Array, count: int) -> int:
+def _told(loop: Loop, poles: Array, count: int) -> int:
     """Returns the number of steps evaluated at the end of a run: many samples if slow modes are fitted."""
-    return max(count, math.ceil(TOLD_APART / loop.period) * loop.steps) if len(poles) else count
+    return max(count, math.ceil(TOLD_APART / loop.period) * len(loop.by_step)) if len(poles) else count
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
@@ -360,10 +360,10 @@ def worst_roads(
     wanted = period / max(min(timestep, FINE, period / FEWEST), SHORTEST_STEP) * (1 - 1e-9)
     steps = own * math.ceil(wanted / own)  # a delay that ends with a step does so with a part of one
     vehicle, h = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period)), period / steps
-    plans, until = dict[int, tuple[LoopModel, Fraction, Array, int]](), 0.0  # loop, turn, slow poles, samples that are read
+    plans, until = dict[int, tuple[Loop, Fraction, Array, int]](), 0.0  # loop, turn, slow poles, samples that are read
     for i, (controller, norm) in enumerate(zip(controllers, norms, strict=True)):
         if norm is not None and not norm.inside:
-            loop, turn = LoopModel(vehicle, controller, h), _turn(norm.angle)
+            loop, turn = loop_of(vehicle, controller, h), _turn(norm.angle)
             settling, slow = settling_of(loop, SETTLED)
             plans[i] = loop, turn, slow, _told(loop, slow, turn.denominator * steps + 1)
             until = max(until, settling + (plans[i][-1] + 1) * h)
@@ -442,8 +442,9 @@ def _either_side(vehicle: Vehicle, controller: Controller, omega: Array, angle: 
     """Returns lines of z after leaps and before, by `_lines`, per disturbance under every wheel, shape (2 N p, L, r)."""
     positive, negative = np.abs(omega), (omega < 0)[:, None, None]
     shape = vehicle.road_shape(positive)[:, None, None]
-    after = shape * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
-    before = after - shape * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
+    values, leaps = stepwise_frequency_response(vehicle, controller, positive, h)
+    after = shape * np.swapaxes(values[:-1], 2, 3)
+    before = after - shape * np.swapaxes(leaps, 2, 3)
     sides = [vehicle.summed(z) for z in (after, before)]
     return np.concatenate([_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in sides])
 

@@ -184,7 +184,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     every = parts * cut
     road = RoadInput(run.vehicle, run.road, np.arange(steps * every + 1) * (h / every))
     if prediction.loop is not None:
-        response = continuous_response(replace(prediction.loop, timestep=h / every), road)
+        response = continuous_response(prediction.controller, road)
     elif isinstance(run.controller, Programmed):
         response = forced_continuous_response(np.repeat(prediction.requested_force, every, axis=0)[: steps * every + 1], road)
     else:

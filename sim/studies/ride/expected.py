@@ -51,7 +51,7 @@ from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.frequency_response import leaps_by_step, sampled_states, stepwise_frequency_response
+from sim.linear.frequency_response import driven_loop, stepwise_frequency_response
 from sim.studies.ride.gaussian import Gaussian, positive_part
 from sim.studies.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
 from sim.studies.ride.quadrature import loop_poles, power_of
@@ -59,7 +59,8 @@ from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equiv
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel, continuous, heights_read
+from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, named, radius
+from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
 
 STILL = 1e-12  # relative to the largest variance in the same unit: a signal with less does not move
@@ -97,19 +98,14 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
 
 def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
     """Returns the share of its final variance for every measured signal that moves, by name; empty where `settled` is None."""
-    whole = LoopModel(vehicle, controller, timestep)
-    if not is_linear(vehicle, controller) or whole.radius >= 1:
+    whole, model = loop_of(vehicle, controller, timestep), vehicle.linear_model
+    if not is_linear(vehicle, controller) or radius(whole) >= 1:
         return {}
-    implemented = whole.closed_loop
-    loop, cut, model = implemented.transition, implemented.open_loop, implemented.open_loop.model
-    C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.parts[0].inputs
-    read = heights_read(cut, controller)
-    pushed = model.Br + model.B @ cut.inputs(*np.split(read, [cut.forces])) if read.any() else model.Br
-    raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), pushed)
-    raised = np.vstack([raised, *([cut.asked @ raised + read[: cut.forces]] * vehicle.implementation.pending_forces)])
-    Cr = model.Cr + model.D @ implemented.parts[0].feedthrough @ read
-
-    period = whole.period
+    system = whole.closed_loop.part(model.outputs, whole.closed_loop.inputs)
+    loop, C, period = system.A, system.C, whole.period
+    now, midway = (system.columns(named(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
+    Cr = system.D[:, now]
+    raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])  # by a road one metre higher
     sample = round(start / period)
     late = np.array([round(wheel.behind(vehicle.parameters) / road.speed / period) for wheel in vehicle.kind.wheels])
     if controller.preview is not None and late.any():
@@ -117,10 +113,15 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     here = late <= sample
     left_behind = {k: C @ np.linalg.matrix_power(loop, sample - k) for k in set(late[here].tolist())}
 
+    def states(omega: Array) -> tuple[Array, Array]:
+        """Returns the response from each wheel's road velocity to the states at the samples, and to the outputs."""
+        X = harmonic_states(*driven_loop(vehicle, controller, omega, timestep), omega)
+        return X, C @ X + Cr / (1j * omega[:, None, None])
+
     def amplitudes(omega: Array) -> Array:
         """Returns A and B by source, shape (F, 2 p, 2)."""
-        X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
-        steady, left = C @ X + Cr / s, np.zeros((len(omega), len(C), len(late)), dtype=complex)
+        X, steady = states(omega)
+        s, left = 1j * omega[:, None, None], np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
             left[..., j] = (left_behind[int(late[j])] @ (X - raised / s) + (C @ raised + Cr) / s)[..., j]
         shares, inputs = tracks(vehicle, road, omega), as_met(vehicle, omega, road.speed)[..., None]
@@ -128,9 +129,8 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
 
     def final(omega: Array) -> Array:
         """Returns the final variance per Hz, shape (F, p), with all wheels on the road."""
-        X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
         wheel_roads = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
-        return power_of((C @ X + Cr / s) @ wheel_roads)
+        return power_of(states(omega)[1] @ wheel_roads)
 
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
@@ -180,8 +180,7 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the time [s] at which the slowest mode has all but `FORGOTTEN` of its variance; infinite for an unstable loop."""
     if not is_linear(vehicle, controller):
         return math.inf
-    cut = continuous(vehicle, controller)
-    loop_stability = stability(cut.model.A + cut.model.B @ cut.G)
+    loop_stability = stability(loop_of(vehicle, controller).closed_loop.A)
     return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
 
 
@@ -199,7 +198,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """
-    if not is_linear(vehicle, controller) or LoopModel(vehicle.linearised, controller, timestep).radius >= 1:
+    if not is_linear(vehicle, controller) or radius(loop_of(vehicle.linearised, controller, timestep)) >= 1:
         return None
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:
@@ -219,13 +218,13 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     def spectra(omega: Array) -> Array:
         """Returns, for every step of a period, spectra of all signals, weighted accelerations and the actuators' work."""
         pulls = None if rest is None else rest.pulls
-        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
+        at_steps, jumps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
         for name, tyre in damped.items():  # the deflection with the same force
             at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]
             turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
             at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
         outside = sources(vehicle, road, omega) if rest is None else rest.sources(vehicle, road, omega, timestep, at_steps)
-        responses = at_steps, leaps_by_step(vehicle, controller, omega, timestep, pulls)
+        responses = at_steps, jumps
         at_steps, jumps = (one @ outside for one in responses)
         if rest is not None and rest.sharp:
             of_road = outside * (np.arange(outside.shape[1]) < len(vehicle.kind.wheels))[:, None]

@@ -42,12 +42,11 @@ from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import readings_of_loads
 from sim.response.jumps import Jumps
 from sim.response.response import Response
 from sim.studies.ride.weighting import LATE, filtered, sampled_wk
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous
+from synth.controller.loop_of import loop_of
 
 DEGREES = 180 / math.pi
 PITCH, ROLL = "pitch_angle", "roll_angle"
@@ -74,14 +73,12 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
         road: road with the loads.
         time: time of the loads [s].
     """
-    cut = continuous(vehicle, controller)
-    # Tyres that damp feel the road's velocity beside the loads, and on level ground there is none.
-    model, direct = cut.model, readings_of_loads(cut, controller)[:, : len(cut.model.loads)]
-    A, load = model.A + model.B @ cut.G, road.loads(vehicle, np.array([time]))[0]
-    if np.linalg.eigvals(A).real.max() >= 0:
+    model, load = vehicle.linear_model, road.loads(vehicle, np.array([time]))[0]
+    closed = loop_of(vehicle, controller).closed_loop.part(model.outputs, model.loads)
+    if np.linalg.eigvals(closed.A).real.max() >= 0:
         return {}
-    x = np.linalg.solve(A, -(model.Bl + model.B @ direct) @ load)
-    outputs = dict(zip(model.outputs, model.C @ x + model.D @ (cut.G @ x + direct @ load) + model.Dl @ load, strict=True))
+    values = closed.D @ load - closed.C @ np.linalg.solve(closed.A, closed.B @ load)
+    outputs = dict(zip(model.outputs, values, strict=True))
     sums = angles_of(vehicle).items()
     return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 

@@ -9,7 +9,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.studies.ride.weighting import POLES
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
 
 
 def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: float) -> tuple[Array, float]:
@@ -17,7 +17,7 @@ def loop_poles(vehicle: Vehicle, controller: Controller, timestep: float, high: 
 
     A sampled loop repeats its poles at every multiple of the sampling frequency, and so does the weighting of images.
     """
-    loop = LoopModel(vehicle, controller, timestep).closed_loop.transition
+    loop = loop_of(vehicle, controller, timestep).closed_loop.A
     period = timestep * steps_per_sample(vehicle.implementation, timestep)
     values = np.linalg.eigvals(loop)
     poles = np.log(values[np.abs(values) > 1e-12].astype(complex)) / period

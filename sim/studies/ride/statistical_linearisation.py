@@ -51,7 +51,7 @@ from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
 from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
-from synth.controller.open_loop import LoopModel, continuous
+from synth.controller.loop_of import loop_of, radius
 from synth.plant.quadrature import sample_band
 
 if TYPE_CHECKING:
@@ -270,8 +270,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
     """Adds the remainders of the curves of a vehicle, if their iteration converges."""
     pulls = Elements(line.curves, line.push, line.outputs)
-    cut = continuous(line.vehicle, controller)
-    poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
+    poles = np.linalg.eigvals(loop_of(line.vehicle, controller).closed_loop.A)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
 
     def resting(forces: Array) -> Array:
@@ -335,14 +334,14 @@ def _deviations(
     vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: Sequence[str]
 ) -> Array | None:
     """Returns the standard deviations of output signals of a linear vehicle over the road, shape (k,); None if it is unstable."""
-    if LoopModel(vehicle, controller, timestep).radius >= 1:
+    if radius(loop_of(vehicle, controller, timestep)) >= 1:
         return None
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
     index = [vehicle.linear_model.outputs.index(name) for name in signals]
 
     def spectra(omega: Array) -> Array:
-        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep)[:-1, :, index]
+        at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep)[0][:-1, :, index]
         return road.density * power_of(at_steps @ sources(vehicle, road, omega)).mean(axis=0)
 
     band = sample_band(spectra, lambda _, value: value, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))

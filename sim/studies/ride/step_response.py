@@ -20,6 +20,7 @@ from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.runs.run import Run
+from synth.controller.loop_of import HEIGHT, named
 
 if TYPE_CHECKING:
     from sim.studies.ride.between_samples import Pieces
@@ -180,14 +181,12 @@ def _lasting(run: Run) -> Array:
     """
     model, loop = run.vehicle.linear_model, run.prediction.loop
     usual = model.Cr.sum(axis=1)
-    if loop is None or not model.over_datum(loop.controller.measured):
+    if loop is None or not model.over_datum(run.controller.measured):
         return usual
-    model, G = loop.continuous.model, loop.continuous.G
-    closed = model.A + model.B @ G
-    if not np.linalg.eigvals(closed).real.max() < 0:
+    closed = loop.closed_loop.part(model.outputs, named(model.disturbances, HEIGHT))
+    if not np.linalg.eigvals(closed.A).real.max() < 0:
         return usual
-    left = model.Cr - (model.C + model.D @ G) @ np.linalg.solve(closed, model.Br)
-    return left[: len(usual)].sum(axis=1)
+    return (closed.D - closed.C @ np.linalg.solve(closed.A, closed.B)).sum(axis=1)
 
 
 def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:

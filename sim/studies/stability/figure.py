@@ -18,7 +18,7 @@ from sim.studies.stability.robustness import Robustness
 from sim.studies.stability.simulated_loop import Trial
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of, radius
 from synth.controller.report import NORM
 from synth.design.uncertainty.fragility import worst_error_found
 
@@ -44,12 +44,13 @@ def margins_figure(found: StabilityMargins) -> Figure:
     """
     controller, fragile, loop, built = found.controller, found.fragile, found.loops[""], found.built.get("")
     vehicle, timestep = fragile.vehicle, loop.timestep
-    transfer = LoopModel(replace(vehicle, implementation=Implementation()), controller, timestep).cut()
+    prompt = loop_of(replace(vehicle, implementation=Implementation()), controller, timestep)
+    cut = prompt.cut(prompt.forces)
 
     def rate(trial: Trial) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
-            return math.log(abs(slowest_from_sample_to_sample(*transfer, int(steps)))) / steps / timestep
-        return math.log(LoopModel(trial.vehicle, trial.controller, timestep).radius) / timestep
+            return math.log(abs(slowest_from_sample_to_sample(cut.A, cut.B, cut.C, int(steps)))) / steps / timestep
+        return math.log(radius(loop_of(trial.vehicle, trial.controller, timestep))) / timestep
 
     gain, period = loop.gain, loop.sample_period
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)

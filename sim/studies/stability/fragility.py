@@ -16,7 +16,7 @@ from sim.studies.stability.simulated_loop import Trial
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel
+from synth.controller.loop_of import loop_of
 from synth.controller.problem import problem
 from synth.design.uncertainty.fragility import Fragility, fragility, rounding
 from synth.design.uncertainty.problem import scaled_gain
@@ -119,8 +119,8 @@ def _inside(edge: float) -> float:
 def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility, timestep: float) -> float:
     """Returns the margin of the loop that is sampled every timestep; infinite if it exceeds `MOST`."""
     # Errors of readings and forces multiply, so that the transition is of second order in their amount.
-    ends = [LoopModel(vehicle, with_errors(controller, predicted, amount), timestep) for amount in (0.0, MOST / 2, MOST)]
-    start, middle, end = (loop.closed_loop.transition for loop in ends)
+    ends = [loop_of(vehicle, with_errors(controller, predicted, amount), timestep) for amount in (0.0, MOST / 2, MOST)]
+    start, middle, end = (loop.closed_loop.A for loop in ends)
     first, second = 4 * middle - 3 * start - end, 2 * (start + end) - 4 * middle
 
     def grows(amount: Array) -> Array:

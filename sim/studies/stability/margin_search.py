@@ -19,9 +19,9 @@ from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
 from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
-from synth.controller.loop_transfer import loop_transfer
-from synth.controller.open_loop import LoopModel
-from synth.controller.stability_margins import LARGEST_FACTOR, Margins, margins, sampled_gain_crossings, sampled_margins
+from synth.controller.loop_of import loop_of, radius
+from synth.controller.sample_period_margin import sampled_growth_at
+from synth.controller.stability_margins import LARGEST_FACTOR, Margins, gain_crossings, margins
 
 BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # of recorded runs: soon over, lifts no wheel
 LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
@@ -270,8 +270,8 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
-    transfer = loop_transfer(vehicle, controller, actuators)
-    predicted = margins(transfer)
+    continuous, forces = loop_of(vehicle, controller), [vehicle.linear_model.inputs[i] for i in actuators]
+    predicted = margins(continuous, forces)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
     cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
     loop = cut_out, rest if rest.law.acts else None
@@ -287,8 +287,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     prompt = replace(vehicle, implementation=Implementation())
 
     def late_grows(delay: float) -> bool:
-        undelayed = LoopModel(prompt, controller, timestep).cut(actuators)
-        return abs(slowest_from_sample_to_sample(*undelayed, round(delay / timestep))) > 1
+        cut = loop_of(prompt, controller, timestep).cut(forces)
+        return abs(slowest_from_sample_to_sample(cut.A, cut.B, cut.C, round(delay / timestep))) > 1
 
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
@@ -300,7 +300,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         timestep=timestep,
         predicted_delay=predicted.delay,
         late_grows=late_grows,
-        slow_grows=lambda period: transfer.sampled_growth(period) > 0,
+        slow_grows=lambda period: sampled_growth_at(continuous, forces, period) > 0,
     )
 
 
@@ -311,24 +311,25 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
         InputError: the sample period or the delay is not a multiple of the timestep.
     """
     how = vehicle.implementation.without_noise
-    loop = LoopModel(replace(vehicle, implementation=how), controller, timestep)
+    built = replace(vehicle, implementation=how)
+    loop, forces = loop_of(built, controller, timestep), [vehicle.linear_model.inputs[i] for i in actuators]
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
-    predicted = sampled_margins(*loop.cut(actuators), loop.period)
+    predicted, steps_of_period = margins(loop, forces), len(loop.by_step)
     derivative = partial(step_derivative, replace(vehicle, implementation=Implementation()))
 
     def later(amount: float) -> Trial:
-        steps = round(how.delay * loop.steps) + round(amount / timestep)
-        return Trial(replace(vehicle, implementation=replace(how, delay=steps / loop.steps)), controller)
+        steps = round(how.delay * steps_of_period) + round(amount / timestep)
+        return Trial(replace(vehicle, implementation=replace(how, delay=steps / steps_of_period)), controller)
 
     def grows(amount: float) -> bool:
-        return LoopModel(later(amount).vehicle, controller, timestep).radius > 1
+        return radius(loop_of(later(amount).vehicle, controller, timestep)) > 1
 
     late = math.inf  # the hold is not delayed as a phase is: near half the sample rate, that is not the same
     if mine.all() and predicted.delay < SLOWEST:
         late = smallest_unstable(grows, predicted.delay, LONGEST, timestep)[1]
     return LoopMargins(
         predicted,
-        *_gain_margins(loop.vehicle, controller, actuators, predicted, timestep, derivative),
+        *_gain_margins(built, controller, actuators, predicted, timestep, derivative),
         delay=StabilityEdge(derivative(timestep), later, late - timestep / 2, LONGEST if mine.all() else 0.0, timestep),
         sample_period=StabilityEdge(derivative(timestep), later, math.inf, 0.0),
         timestep=timestep,
@@ -353,7 +354,8 @@ def _gain_margins(
 
     @cache
     def sampled(timestep: float) -> list[float]:
-        return sampled_gain_crossings(*LoopModel(vehicle, controller, timestep, taylor4).cut(actuators))
+        forces = [vehicle.linear_model.inputs[i] for i in actuators]
+        return gain_crossings(loop_of(vehicle, controller, timestep, taylor4).cut(forces))
 
     def with_gain(factor: float) -> Trial:
         return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))

@@ -30,7 +30,6 @@ from sim.studies.stability.edge import no_progress
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
 from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
-from synth.controller.open_loop import LoopModel
 
 GRID = 49  # norms that are taken first, whatever the box's dimension
 MOST = 4  # quantities that vary: physics runs two to that power
@@ -231,7 +230,7 @@ def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tup
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
     """Returns True for each trial whose linear response over the bump MuJoCo confirms; similar vehicles share a batch."""
     controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
-    predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, inputs, strict=True)]
+    predictions = [predict(one, on) for one, on in zip(controllers, inputs, strict=True)]
     alike: dict[bytes, list[int]] = {}  # curves have other numbers of straight lines on other vehicles
     for i, on in enumerate(inputs):
         alike.setdefault(reads_out(on.vehicle, on.timestep), []).append(i)

@@ -19,7 +19,6 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
 from sim.response.response import Response, difference
 from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.open_loop import LoopModel
 
 AT_ONCE = 32  # runs in a batch: more would wait for the longest
 
@@ -60,7 +59,7 @@ def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], ti
     """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
     inputs = [RoadInput(vehicle, road, time) for road in roads]
     if is_linear(vehicle, controller):
-        return sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs)
+        return sampled_responses(controller, inputs)
     return stepped([controller] * len(inputs), inputs).response
 
 
@@ -108,7 +107,6 @@ def _results(
 ) -> Iterator[MapRun]:
     """Yields the results of runs."""
     line, time = vehicle.linearised, physics.response.time
-    loops = {id(one): LoopModel(line, one, float(time[1])) for one in controllers}
     for i, (controller, road) in enumerate(zip(controllers, roads, strict=True)):
         response, diverged = physics.response.run(i), float(physics.diverged[i])
         times, missing = reached(vehicle, response, has_anti_windup(controller)), math.nan
@@ -120,7 +118,7 @@ def _results(
             missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
         ended = float(times.min()) < diverged
         broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if physics.ran_away[i] else DIVERGENCE
-        linear = sampled_responses(loops[id(controller)], [RoadInput(line, road, time)]).run(0)
+        linear = sampled_responses(controller, [RoadInput(line, road, time)]).run(0)
         yield MapRun(
             float(np.nanmax(shares(vehicle, controller, response))),
             int(first_end(times)) if ended else -1,

@@ -11,7 +11,8 @@ from models.kinds.signals import CONTROL_FORCE, DAMPING, Signal
 from models.vehicle.vehicle import Vehicle
 from synth.controller.export.c_law import ExportedLaw
 from synth.controller.export.c_source import CSource, literal
-from synth.controller.export.linear_system import LinearSystem
+from synth.controller.export.linear_system import signals_of
+from synth.plant.state_space import StateSpace
 
 _number = partial(literal, "double")
 
@@ -75,8 +76,8 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
     return FmuModel(law.name, title, tuple(inputs), tuple(outputs), (), law.period, law.delay, still, None, sources)
 
 
-def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
-    """Returns a linear system as the content of an FMU for model exchange and co-simulation."""
+def linear_model(identifier: str, title: str, vehicle: Vehicle, system: StateSpace) -> FmuModel:
+    """Returns a vehicle's linear system as the content of an FMU for model exchange and co-simulation."""
     n, m, p = len(system.states), len(system.inputs), len(system.outputs)
     slopes = np.block([[system.D, system.C], [system.B, system.A]])
     rate = _number(np.abs(system.A).sum(axis=1).max())
@@ -86,8 +87,9 @@ def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
         "fmu_model.c": f'#include "fmu.h"\n\nconst double fmu_slopes[{p + n}][{m + n}] = {{\n    {rows}}};\n',
         "fmu_model.h": _head(m, p, n, f"#define FMU_PERIOD 0.0 /* s; 0: any step */\n#define FMU_RATE {rate} /* 1/s */\n"),
     }
-    states = tuple(replace(one, name=f"state.{one.name}") for one in system.states)
-    return FmuModel(identifier, title, system.inputs, system.outputs, states, None, 0, np.zeros(p), slopes, sources)
+    inputs, states, outputs = (signals_of(vehicle, names) for names in (system.inputs, system.states, system.outputs))
+    states = tuple(replace(one, name=f"state.{one.name}") for one in states)
+    return FmuModel(identifier, title, inputs, outputs, states, None, 0, np.zeros(p), slopes, sources)
 
 
 def _head(inputs: int, outputs: int, states: int, more: str) -> str:

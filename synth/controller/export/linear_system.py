@@ -1,88 +1,58 @@
-"""Linear systems with named inputs, states and outputs: a vehicle alone, and with its controller, as others import them."""
+"""A vehicle alone, and with its controller, as linear systems that others import, measured from static equilibrium."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from models.common.arrays import Array
-from models.kinds.signals import Signal, kept_signals, load_signal
+from models.kinds.signals import KEPT, Signal, kept_signals, load_signal
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import with_lag
+from synth.controller.loop_of import HEIGHT, loop_of, named, plant_of, with_lag
+from synth.plant.state_space import StateSpace
 
 
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
-    """The system x' = A x + B u, y = C x + D u, measured from static equilibrium.
-
-    Attributes:
-        A, B, C, D: shapes (n, n), (n, m), (p, n), (p, m).
-        inputs: m signals: the roads' velocities, loads, then forces where no law gives them.
-        states: n signals.
-        outputs: p signals.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    inputs: tuple[Signal, ...]
-    states: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-
-
-def vehicle_system(vehicle: Vehicle) -> LinearSystem:
+def vehicle_system(vehicle: Vehicle) -> StateSpace:
     """Returns a vehicle as a system from roads, loads and requested forces to its signals, with its actuators' lag."""
-    whole, forces = _all_signals(vehicle), vehicle.linear_model.inputs
-    kept = [i for i, one in enumerate(whole.outputs) if one.name not in forces]
-    outputs = tuple(whole.outputs[i] for i in kept)
-    return replace(whole, C=whole.C[kept], D=whole.D[kept], outputs=outputs)
+    model = vehicle.linear_model
+    outputs = [name for name in model.outputs if name not in model.inputs]
+    return _with_heights(vehicle, plant_of(vehicle)).part(outputs, (*model.disturbances, *model.loads, *model.inputs))
 
 
-def loop_system(vehicle: Vehicle, controller: Controller) -> LinearSystem:
+def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
     """Returns a vehicle with a controller, in continuous time, as a system from roads and loads to its signals and forces.
 
     Raises:
         InputError: a discrete law has no continuous counterpart, or its loop through the measurements no solution.
     """
-    whole, m = _all_signals(vehicle), len(vehicle.linear_model.inputs)
-    names = [one.name for one in whole.outputs]
-    measured = [names.index(name) for name in controller.measured]
-    n, outside, B, D = len(whole.A), slice(-m), whole.B[:, -m:], whole.D[:, -m:]
-    law = controller.law.continuous().fed_back(D[measured])
-    Cy, Dy, k = whole.C[measured], whole.D[measured, outside], law.states
-    force, of_force = np.hstack([law.D @ Cy, law.C]), law.D @ Dy
-    return LinearSystem(
-        np.block([[whole.A, np.zeros((n, k))], [law.B @ Cy, law.A]]) + np.vstack([B, np.zeros((k, m))]) @ force,
-        np.vstack([whole.B[:, outside] + B @ of_force, law.B @ Dy]),
-        np.hstack([whole.C, np.zeros((len(whole.C), k))]) + D @ force,
-        whole.D[:, outside] + D @ of_force,
-        whole.inputs[:-m],
-        (*whole.states, *kept_signals(range(1, k + 1))),
-        whole.outputs,
-    )
+    model, loop = vehicle.linear_model, loop_of(vehicle, controller)
+    loop = replace(loop, plant=_with_heights(vehicle, loop.plant))
+    states = (*loop.plant.states, *(f"{KEPT}{i}" for i in range(1, loop.law.states + 1)))
+    return replace(loop.closed_loop.part(model.outputs, (*model.disturbances, *model.loads)), states=states)
 
 
-def _all_signals(vehicle: Vehicle) -> LinearSystem:
-    """Returns a vehicle as a system to all its signals, forces included. Where the roads' heights act they are states."""
-    model, kind, wheels = with_lag(vehicle), vehicle.kind, vehicle.kind.wheels
-    n, p, r = len(model.A), len(model.C), len(wheels)
-    forces = [kind.signal(name) for name in model.inputs]
-    lagged = [
-        replace(one, name=name) for one, name in zip(forces, model.states[len(vehicle.linear_model.states) :], strict=False)
-    ]
-    A, C, Bw, states = model.A, model.C, model.Bw, [kind.signal(name) for name in vehicle.linear_model.states] + lagged
-    B, loads = np.hstack([model.Bl.reshape(n, -1), model.B]), [load_signal(name) for name in model.loads]
-    if np.any(model.Br) or np.any(model.Cr):
-        A, C, Bw = np.block([[A, model.Br], [np.zeros((r, n + r))]]), np.hstack([C, model.Cr]), np.vstack([Bw, np.eye(r)])
-        B = np.vstack([B, np.zeros((r, B.shape[1]))])
-        states += [kind.signal(wheel.road_displacement) for wheel in wheels]
-    return LinearSystem(
-        A,
-        np.hstack([Bw, B]),
-        C,
-        np.hstack([model.Dw, model.Dl.reshape(p, -1), model.D]),
-        (*(kind.signal(wheel.road_velocity) for wheel in wheels), *loads, *forces),
-        tuple(states),
-        tuple(kind.signal(name) for name in model.outputs),
+def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
+    """Returns the signals of inputs, states or outputs of these systems."""
+    model, kind = vehicle.linear_model, vehicle.kind
+    known = {name: load_signal(name) for name in model.loads}
+    lagged = zip(with_lag(vehicle).states[len(model.states) :], model.inputs, strict=False)
+    known |= {name: replace(kind.signal(force), name=name) for name, force in lagged}
+    known |= {one.name: one for name in names if name.startswith(KEPT) for one in kept_signals([name.removeprefix(KEPT)])}
+    return tuple(known.get(name) or kind.signal(name) for name in names)
+
+
+def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
+    """Returns the plant of a vehicle with its roads' heights as states, if they act: integrals of the roads' velocities."""
+    roads, heights = vehicle.linear_model.disturbances, plant.columns(named(vehicle.linear_model.disturbances, HEIGHT))
+    B, D, r = plant.B[:, heights], plant.D[:, heights], len(roads)
+    if not B.any() and not D.any():
+        return plant
+    into = np.zeros((r, len(plant.inputs)))
+    into[:, plant.columns(roads)] = np.eye(r)
+    return replace(
+        plant,
+        A=np.block([[plant.A, B], [np.zeros((r, len(plant.A) + r))]]),
+        B=np.vstack([plant.B, into]),
+        C=np.hstack([plant.C, D]),
+        states=(*plant.states, *(wheel.road_displacement for wheel in vehicle.kind.wheels)),
     )

@@ -11,7 +11,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.record import to_record
 from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import c_name
-from synth.controller.export.linear_system import vehicle_system
+from synth.controller.export.linear_system import signals_of, vehicle_system
 from synth.controller.report import study_notes
 
 VEHICLE, QUOTE = "vehicle", "'"
@@ -47,7 +47,7 @@ def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
 
     system, period = vehicle_system(vehicle), vehicle.implementation.sample_period
     matrices = {name: getattr(system, name) for name in "ABCD"}
-    signals = {"inputs": system.inputs, "states": system.states, "outputs": system.outputs}
+    signals = {name: signals_of(vehicle, getattr(system, name)) for name in ("inputs", "states", "outputs")}
     model = matrices | {"Ts": 0.0} | {name: value for key, some in signals.items() for name, value in _named(key, some).items()}
     content: dict[str, Any] = {VEHICLE: {"kind": vehicle.kind.name, "model": model}}
     for one in controllers:

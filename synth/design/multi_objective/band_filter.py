@@ -13,7 +13,8 @@ import numpy as np
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.design.multi_objective.problem import MeasuredPlant
-from synth.plant.augmented import System, append, gain, series, transfer_function, with_weights
+from synth.plant.augmented import append, gain, series, transfer_function, with_weights
+from synth.plant.state_space import StateSpace
 
 ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
 RIPPLE = 0.02  # dB above one, in the band
@@ -32,7 +33,7 @@ def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
     return MeasuredPlant(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
 
 
-def band_filter(band: Band) -> System:
+def band_filter(band: Band) -> StateSpace:
     """Returns an elliptic filter with a gain from one to `RIPPLE` above in the band [rad/s], and below `BESIDE` outside."""
     from scipy import signal  # half a second
 

@@ -16,9 +16,10 @@ from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant
-from synth.plant.augmented import System, append, gain, with_weights
+from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
+from synth.plant.state_space import StateSpace
 
 TURNS = 6
 WORTH = 2e-3  # relative; a turn that lowers the bound by less is the last
@@ -74,7 +75,9 @@ def robust_design(
     return best
 
 
-def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System]]) -> tuple[GeneralizedPlant, Array, Array]:
+def scaled_plant(
+    structured: StructuredPlant, filters: list[tuple[StateSpace, StateSpace]]
+) -> tuple[GeneralizedPlant, Array, Array]:
     """Returns the plant between scales of its errors, and its C_y and Dyw.
 
     Args:
@@ -88,7 +91,7 @@ def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System
     return whole, Cy, structured.Dyw @ inputs.D
 
 
-def scaling_filters(loop: StructuredLoop) -> list[tuple[System, System]]:
+def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]:
     """Returns, for each error, a first-order filter that follows its best scale over frequency, and the filter's inverse."""
     k, grid, units = loop.errors, loop.grid, loop.units
     M = loop.at(grid)
@@ -102,7 +105,7 @@ def scaling_filters(loop: StructuredLoop) -> list[tuple[System, System]]:
     return [_first_order(grid, scales[:, i] + np.log(units[i]), weight) for i in range(k)]
 
 
-def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[System, System]:
+def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[StateSpace, StateSpace]:
     """Returns g (s + a) / (s + b) whose magnitude follows a curve, and its inverse."""
     low, high = np.log(grid[[0, -1]])
 
@@ -122,7 +125,7 @@ def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[System,
     return _system(g, a, b), _system(1 / g, b, a)
 
 
-def _system(g: float, a: float, b: float) -> System:
+def _system(g: float, a: float, b: float) -> StateSpace:
     """Returns g (s + a) / (s + b)."""
     size = np.sqrt(abs(a - b))
-    return System(np.array([[-b]]), np.array([[size]]), np.array([[g * np.sign(a - b) * size]]), np.array([[g]]))
+    return StateSpace(np.array([[-b]]), np.array([[size]]), np.array([[g * np.sign(a - b) * size]]), np.array([[g]]))

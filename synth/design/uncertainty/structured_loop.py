@@ -16,8 +16,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from synth.analysis.norm import transfer_matrix
-from synth.plant.augmented import System, append, closed_by, gain, with_weights
+from synth.plant.augmented import append, closed_by, gain, with_weights
 from synth.plant.generalized import GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 ROUNDS = 50  # of balancing; each halves the distance, in logarithms
 COARSE = 120  # frequencies at which the sizes of M's entries are compared
@@ -119,7 +120,7 @@ def plant_with_errors(
     through: Array,
     Dyw: Array | None,
     of_errors: tuple[Array, Array],
-    weights: tuple[Sequence[System | None], Sequence[System | None]],
+    weights: tuple[Sequence[StateSpace | None], Sequence[StateSpace | None]],
 ) -> StructuredPlant:
     """Returns a plant with weighted errors of its forces and readings.
 

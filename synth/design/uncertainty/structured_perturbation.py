@@ -17,8 +17,9 @@ from models.common.arrays import Array
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.uncertainty.structured_loop import StructuredLoop
-from synth.plant.augmented import System, append
+from synth.plant.augmented import append
 from synth.plant.generalized import GeneralizedPlant
+from synth.plant.state_space import StateSpace
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
@@ -44,7 +45,7 @@ class WorstErrors:
 
     mu: float
     frequency: float
-    errors: tuple[System, ...]
+    errors: tuple[StateSpace, ...]
 
 
 def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
@@ -103,7 +104,7 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
     return best
 
 
-def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> GeneralizedPlant | None:
+def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -> GeneralizedPlant | None:
     """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
     M, k, E = structured.loop, structured.errors, append(*errors)
     n, e = len(M.A), len(E.A)
@@ -157,12 +158,12 @@ def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a:
     return float(abs(largest)), np.array(firsts[-errors:])
 
 
-def _all_pass(amount: float, angle: float, omega: float) -> System:
+def _all_pass(amount: float, angle: float, omega: float) -> StateSpace:
     """Returns a stable error of a constant gain that has a phase [rad] at a frequency."""
     sign = 1.0 if angle >= 0 else -1.0
     phase = angle if angle >= 0 else angle + np.pi  # of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
     if min(phase, np.pi - phase) < 1e-12:
         constant = sign * (1.0 if phase < np.pi / 2 else -1.0)
-        return System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))
+        return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))
     c = omega * np.tan(phase / 2)
-    return System(np.array([[-c]]), np.array([[c]]), np.array([[-2 * sign * amount]]), np.array([[sign * amount]]))
+    return StateSpace(np.array([[-c]]), np.array([[c]]), np.array([[-2 * sign * amount]]), np.array([[sign * amount]]))

@@ -20,7 +20,7 @@ from synth.analysis.sampled_norm import sampled_norm, stable
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem, norm_in_continuous_time, sampled_loop
-from synth.controller.open_loop import sampled
+from synth.controller.loop_of import with_lag
 from synth.controller.report import has_sampled_norm
 from synth.design.sampled_data import held_design
 from synth.plant.numerics import DesignError
@@ -69,9 +69,7 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
     """Poles of the vehicle, its actuators and the law, by themselves [rad/s]."""
-    law = controller.law.continuous()
-    of_car = np.linalg.eigvals(sampled(vehicle, controller, SHORTEST).model.A)
-    return np.concatenate([of_car, np.linalg.eigvals(law.A)])
+    return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,358 @@
+"""A plant under a linear law: its states from sample to sample, its responses over time, and its frequency responses.
+
+    x' = A x + B u + E d,    y = C x + D u + F d,
+
+where the forces u follow from the law by some of the outputs y, and d are the plant's other inputs. Road, loads, noise of the
+readings and the forces by a preview are all such inputs. In continuous time the law acts at once.
+
+Sampled every T seconds, the law reads y just before its new force acts. So a reading contains the force that acted until then.
+Over each part of the period a force acts that was computed some samples ago. The state at a sample is
+
+    [x; states of the law; u[k-1]; ...; u[k-p]],
+
+with previous forces that still act, or that a reading contains.
+
+In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, so it is no state there.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array, recursion
+from models.common.checks import Checked, Index, PositiveTime
+from models.laws.linear import LinearLaw
+from synth.plant.discrete import held_inputs
+from synth.plant.state_space import StateSpace, spectral_radius
+
+LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
+
+
+@dataclass(frozen=True, eq=False)
+class HoldInterval(Checked):
+    """A part of the period in which one force is held.
+
+    Attributes:
+        duration: duration of the interval [s].
+        late: number of samples by which the acting force is delayed.
+    """
+
+    duration: PositiveTime
+    late: Index
+
+
+def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
+    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
+    late = math.floor(delay)
+    share = delay - late
+    pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
+    return tuple(HoldInterval(part * period, samples) for part, samples in pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A plant in continuous time under a linear law.
+
+    Attributes:
+        plant: the plant; n states.
+        law: from the measured outputs to the forces, as designed; see `acting_law`.
+        measured: names of the measured outputs.
+        forces: names of the m inputs that the law sets.
+        hold: parts of the sample period in order, each with the delay of its force; empty in continuous time.
+        step: time over which disturbances are held [s], of which the parts of the period are multiples.
+        exponential: the matrix exponential, by which a step is computed; `taylor4` predicts an RK4 integrator.
+    """
+
+    plant: StateSpace
+    law: LinearLaw
+    measured: tuple[str, ...]
+    forces: tuple[str, ...]
+    hold: tuple[HoldInterval, ...] = ()
+    step: float | None = None
+    exponential: Callable[[Array], Array] = field(default=linalg.expm)
+
+    @cached_property
+    def acting_law(self) -> LinearLaw:
+        """The law as it runs here: sampled at the period, or in continuous time.
+
+        Raises:
+            InputError: the law cannot be run so, see `LinearLaw`.
+        """
+        return self.law.sampled(self.period) if self.hold else self.law.continuous()
+
+    @cached_property
+    def disturbances(self) -> tuple[str, ...]:
+        """Names of the plant's other inputs."""
+        return tuple(name for name in self.plant.inputs if name not in self.forces)
+
+    @cached_property
+    def law_states(self) -> tuple[str, ...]:
+        """Names of the states of the law among the outputs."""
+        return tuple(f"{LAW_STATE}{i}" for i in range(1, self.law.states + 1))
+
+    @cached_property
+    def requested(self) -> tuple[str, ...]:
+        """Names, among the outputs, of the forces that the law computes, without what adds to them."""
+        return tuple(f"{name}{REQUESTED}" for name in self.forces)
+
+    @property
+    def direct(self) -> Array:
+        """Gain from acting forces to requested ones at once, by measurements that contain forces, shape (m, m)."""
+        return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
+
+    @property
+    def direct_radius(self) -> float:
+        """Spectral radius of `direct`: from 1 on, a force that is sampled, or late by any time, grows through its own reading."""
+        return spectral_radius(self.direct)
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]; 0 in continuous time."""
+        return sum(part.duration for part in self.hold)
+
+    @cached_property
+    def by_step(self) -> tuple[int, ...]:
+        """Delay of the force that acts in each step of the period [samples]."""
+        assert self.step is not None, "the disturbances are held over steps"
+        return tuple(part.late for part in self.hold for _ in range(round(part.duration / self.step)))
+
+    @cached_property
+    def stored_forces(self) -> int:
+        """Number p of previous samples whose forces are among the states."""
+        if not self.hold:
+            return 0
+        measured = self.plant.part(self.measured, self.forces).D.any()
+        return max(self.hold[0].late, self.hold[-1].late + 1 if measured else 0)
+
+    def held(self, duration: float) -> tuple[Array, Array]:
+        """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
+        B = self.plant.B[:, self.plant.columns((*self.forces, *self.disturbances))]
+        steps = 1 if self.step is None else round(duration / self.step)
+        Phi, Gamma = held_inputs(self.plant.A, duration, lambda M: np.linalg.matrix_power(self.exponential(M / steps), steps), B)
+        return Phi, Gamma
+
+    @cached_property
+    def open_loop(self) -> StateSpace:
+        """The loop that is cut at all forces: its inputs are the forces and the disturbances.
+
+        Its outputs are the plant's, the states of the law, and the forces that the law requests. In discrete time the forces are
+        those that are computed at a sample. Disturbances then are held over the period, and outputs are those just behind the
+        sample.
+        """
+        plant, law, m, p = self.plant, self.acting_law, len(self.forces), self.stored_forces
+        inputs = (*self.forces, *self.disturbances)
+        names, columns, measured = (
+            (*plant.outputs, *self.law_states, *self.requested),
+            plant.columns(inputs),
+            plant.rows(self.measured),
+        )
+        n, k = len(plant.A), law.states
+        N, later = n + k + p * m, n + k + (p - 1) * m
+        everything = np.eye(N + len(inputs))  # rows: states, forces, disturbances
+        x, kept, u, d = everything[:n], everything[n : n + k], everything[N : N + m], everything[N + m :]
+        forces = [
+            u,
+            *(everything[n + k + i * m : n + k + (i + 1) * m] for i in range(p)),
+        ]  # by age [samples]
+
+        acting = forces[self.hold[0].late] if self.hold else u
+        outputs = plant.C @ x + plant.D[:, columns] @ np.vstack([acting, d])
+        before = u if not self.hold else forces[self.hold[-1].late + 1] if p > self.hold[-1].late else 0 * u
+        readings = plant.C[measured] @ x + plant.D[np.ix_(measured, columns)] @ np.vstack([before, d])
+        requested, moved = law.D @ readings + law.C @ kept, law.B @ readings + law.A @ kept
+        if self.hold:
+            for part in self.hold:
+                Phi, Gamma = self.held(part.duration)
+                x = Phi @ x + Gamma @ np.vstack([forces[part.late], d])
+            states = np.vstack([x, moved, *([u, everything[n + k : later]] if p else [])])
+        else:
+            states = np.vstack([plant.A @ x + plant.B[:, columns] @ np.vstack([u, d]), moved])
+        outputs = np.vstack([outputs, kept, requested])
+        return StateSpace(
+            *(states[:, :N], states[:, N:], outputs[:, :N], outputs[:, N:]), inputs, names, self.period if self.hold else None
+        )
+
+    @cached_property
+    def closed_loop(self) -> StateSpace:
+        """The same with the requested forces added to the forces, which then are what adds to the requested ones from outside.
+
+        Raises:
+            InputError: a continuous loop whose measurements contain its forces has no solution.
+        """
+        return self.open_loop.closed(self.requested, self.forces)
+
+    def cut(self, forces: Sequence[str]) -> StateSpace:
+        """Returns the loop that is cut at some forces, with the others closed: from the forces that act to those requested."""
+        others = [name for name in self.forces if name not in forces]
+        system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
+        return system.part([f"{name}{REQUESTED}" for name in forces], forces)
+
+    def known(self, inputs: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Returns the columns of `inputs` among those of `closed_loop`, and their values along a new last axis."""
+        return np.array(self.closed_loop.columns(list(inputs)), dtype=int), np.stack(list(inputs.values()), axis=-1)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
+def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> Array:
+    """Returns outputs of a sampled loop at every step from rest, shape (..., T, p).
+
+    One recursion leads from sample to sample. The steps between the samples are then taken for all samples side by side.
+
+    Args:
+        loop: the sampled loop, with a step.
+        outputs: names of p outputs; a law's states and its requested forces are those of the last sample.
+        inputs: disturbances at every step, held over it, and what adds to the requested forces, at the samples, by name, each of
+            shape (..., T).
+    """
+    columns, values = loop.known(inputs)
+    *runs, T, c = values.shape
+    system, lates = loop.closed_loop, loop.by_step
+    P, n, m = len(lates), len(loop.plant.A), len(loop.forces)
+    K, rows = -(-T // P), system.rows(outputs)
+    d = np.zeros((*runs, K * P, c))
+    d[..., :T, :] = values
+    d = d.reshape(*runs, K, P, c)
+    push = d[..., 0, :] @ system.B[:, columns].T
+    if P > 1:  # disturbances that change within the period
+        Phi, Gamma = loop.held(loop.step or 0.0)
+        outside = columns >= m
+        change, more = (d - d[..., :1, :])[..., outside] @ Gamma[:, columns[outside]].T, 0.0
+        for i in range(1, P):
+            more = more @ Phi.T + change[..., i, :] if i > 1 else change[..., i, :]
+        push[..., :n] += more
+    states = recursion(system.A, push)
+    y = states @ system.C[rows].T + d[..., 0, :] @ system.D[np.ix_(rows, columns)].T
+    if P == 1:
+        return y
+    everything = np.empty((*runs, K, P, len(rows)))
+    everything[:] = y[..., None, :]
+    own = [i for i, row in enumerate(rows) if row < len(loop.plant.outputs)]
+    plant = loop.plant.part([outputs[i] for i in own], (*loop.forces, *loop.disturbances))
+    requested = system.rows(loop.requested)
+    computed = states @ system.C[requested].T + d[..., 0, :] @ system.D[np.ix_(requested, columns)].T
+    for force in np.flatnonzero(columns < m):
+        computed[..., columns[force]] += d[..., 0, force]
+    x, outside = states[..., :n], columns >= m
+    d, columns = d[..., outside], columns[outside]
+    by_delay = {late: _delayed(computed, late) for late in lates}
+    for i, late in enumerate(lates):
+        everything[..., i, own] = x @ plant.C.T + by_delay[late] @ plant.D[:, :m].T + d[..., i, :] @ plant.D[:, columns].T
+        x = x @ Phi.T + by_delay[late] @ Gamma[:, :m].T + d[..., i, :] @ Gamma[:, columns].T
+    return everything.reshape(*runs, K * P, len(rows))[..., :T, :]
+
+
+def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:
+    """Returns the columns of the driven disturbances in `Loop.open_loop`, and their amplitudes, shape (F, d, c)."""
+    names = [name for name in drive if name not in loop.forces]
+    return loop.open_loop.columns(names), np.stack([drive[name] for name in names], axis=1)
+
+
+def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array, Array]:
+    """Returns the response of a sampled loop to sinusoidal inputs at its samples.
+
+    With j samples of delay as z^-j, the states [x; states of the law] and the forces follow from
+
+        z s = A s + G u + E d,    u = C s + H u + F d.
+
+    Arguments as for `frequency_response`.
+
+    Returns:
+        z, shape (F, 1, 1); [x; states of the law], shape (F, n + k, c); and the computed forces, shape (F, m, c).
+    """
+    system, n, m = loop.open_loop, len(loop.plant.A) + loop.law.states, len(loop.forces)
+    z, (columns, d) = np.exp(1j * omega * loop.period)[:, None, None], _disturbances(loop, drive)
+    rows = system.rows(loop.requested)
+    G, H, turned = system.B[:n, :m], system.D[rows, :m], 1.0
+    for j in range(loop.stored_forces):
+        turned, some = turned / z, slice(n + j * m, n + (j + 1) * m)
+        G, H = G + turned * system.A[:n, some], H + turned * system.C[rows, some]
+    C, outside = system.C[rows, :n], system.D[np.ix_(rows, columns)] @ d
+    outside = outside + np.stack([drive.get(name, np.zeros_like(d[:, 0])) for name in loop.forces], axis=1)
+    if np.any(H):
+        loops = np.eye(m) - H
+        C, outside = np.linalg.solve(loops, np.broadcast_to(C, (len(z), m, n))), np.linalg.solve(loops, outside)
+    push = system.B[:n, columns] @ d + G @ outside.astype(complex)
+    if len(loop.by_step) > 1:  # beyond disturbances that are held over the period
+        Phi, Gamma = loop.held(loop.step or 0.0)
+        change, more, turn = Gamma[:, columns] @ d, np.zeros_like(push[:, : len(loop.plant.A)]), _turn(loop, omega)
+        for i in range(1, len(loop.by_step)):
+            more = Phi @ more + (turn**i - 1) * change
+        push[:, : len(Phi)] += more
+    states = np.linalg.solve(z * np.eye(n) - system.A[:n, :n] - G @ C, push)
+    return z, states, C @ states + outside
+
+
+def _turn(loop: Loop, omega: Array) -> Array:
+    """Returns exp(j omega h) of a step, shape (F, 1, 1)."""
+    return np.exp(1j * omega * (loop.step or 0.0))[:, None, None]
+
+
+def _by_step(
+    loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array
+) -> tuple[StateSpace, list[Array], list[Array], Array]:
+    """Returns the plant from forces and driven disturbances, and over exp(j omega t): its states and forces by step, and d."""
+    plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
+    (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
+    (Phi, Gamma), m, turn = loop.held(loop.step or 0.0), len(loop.forces), _turn(loop, omega)
+    x, steps, acting = states[:, : len(Phi)], [], []
+    for i, late in enumerate(loop.by_step):
+        u = forces / (turn**i * z**late)
+        steps, acting = [*steps, x], [*acting, u]
+        x = (Phi @ x + Gamma[:, :m] @ u + Gamma[:, columns] @ d) / turn
+    return plant, steps, acting, d
+
+
+def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Array:
+    """Returns the states of `Loop.closed_loop` at the samples, shape (F, N, c). Arguments as for `frequency_response`."""
+    z, states, forces = _harmonic(loop, drive, omega)
+    return np.concatenate([states, *(forces / z ** (j + 1) for j in range(loop.stored_forces))], axis=1)
+
+
+def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
+    """Returns outputs of the plant under sinusoidal inputs, complex, shape (F, p, c).
+
+    Where the period has several steps, held forces add other frequencies; then this is the share at the input's own frequency.
+
+    Args:
+        loop: the loop, in continuous time or sampled.
+        outputs: names of p outputs of the plant.
+        drive: amplitudes of disturbances at the start of a step, and of what adds to the requested forces, by name, (F, c).
+        omega: angular frequencies [rad/s], shape (F,).
+    """
+    if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
+        at = np.exp(1j * omega * loop.period) if loop.hold else 1j * omega
+        return loop.closed_loop.part(outputs, list(drive)).driven(at, np.stack(list(drive.values()), axis=1))
+    plant, x, u, d = _by_step(loop, outputs, drive, omega)
+    inputs = np.concatenate([sum(u) / len(u), d], axis=1)
+    return plant.C @ (sum(x) / len(x)) + plant.D @ inputs
+
+
+def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
+    """Returns outputs of a sampled loop at every step of its period under sinusoidal inputs exp(j omega t), from t = 0, complex.
+
+    Between samples a held force adds other frequencies, of which `frequency_response` has only the share at omega.
+
+    Arguments as for `frequency_response`.
+
+    Returns:
+        The outputs, shape (P + 1, F, p, c), the last at the start of the next period; and their jumps where the force of a step
+        begins, shape (P, F, p, c).
+    """
+    plant, x, u, d = _by_step(loop, outputs, drive, omega)
+    turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
+    before = [u[-1] / turn, *(one / turn for one in u[:-1])]  # u[-1] is over exp(j omega t), so of the previous period, too
+    values, jumps = [], []
+    for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):
+        values.append((plant.C @ state + plant.D @ np.concatenate([now, d], axis=1)) * turn**i)
+        jumps.append(through @ (now - last) * turn**i)
+    return np.stack([*values, values[0] * turn ** len(u)]), np.stack(jumps)
+
+
+def _delayed(forces: Array, samples: int) -> Array:
+    """Returns forces of shape (..., K, m) so many samples later, from 0."""
+    count = forces.shape[-2]
+    return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)
