@@ -17,7 +17,6 @@ from sim.linear.outputs import response_by_name, with_linear_sides
 from sim.linear.sampled_response import disturbances, load_forcing, road_forcing
 from sim.response.response import Response
 from synth.controller.loop_of import HEIGHT, named, plant_of
-from synth.plant.discrete import held_inputs
 from synth.plant.loop import HoldInterval, Loop, respond
 
 
@@ -52,7 +51,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
-    Phi, Gamma = held_inputs(plant.A, road.timestep, linalg.expm, plant.part((), model.inputs).B)
+    Phi, Gamma = plant.part((), model.inputs).held(road.timestep)
     Bw, Br, Bl = (plant.part((), names).B for names in (model.disturbances, named(model.disturbances, HEIGHT), model.loads))
     forcing = road_forcing(plant.A, Bw, Br, road) + forces @ Gamma.T
     if road.loaded:

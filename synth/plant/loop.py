@@ -16,8 +16,8 @@ In frequency, a force that was computed j samples ago is exp(-j s T) times the n
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +26,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.checks import Checked, Index, PositiveTime
 from models.laws.linear import LinearLaw
-from synth.plant.discrete import held_inputs
-from synth.plant.state_space import StateSpace, spectral_radius
+from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
 LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
 
@@ -55,10 +54,10 @@ def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A plant in continuous time under a linear law.
+    """A plant under a linear law.
 
     Attributes:
-        plant: the plant; n states.
+        plant: the plant, n states: in continuous time, or from step to step, if its inputs are held.
         law: from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law sets.
@@ -73,7 +72,7 @@ class Loop:
     forces: tuple[str, ...]
     hold: tuple[HoldInterval, ...] = ()
     step: float | None = None
-    exponential: Callable[[Array], Array] = field(default=linalg.expm)
+    exponential: Exponential = linalg.expm
 
     @cached_property
     def acting_law(self) -> LinearLaw:
@@ -130,10 +129,8 @@ class Loop:
 
     def held(self, duration: float) -> tuple[Array, Array]:
         """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
-        B = self.plant.B[:, self.plant.columns((*self.forces, *self.disturbances))]
         steps = 1 if self.step is None else round(duration / self.step)
-        Phi, Gamma = held_inputs(self.plant.A, duration, lambda M: np.linalg.matrix_power(self.exponential(M / steps), steps), B)
-        return Phi, Gamma
+        return self.plant.part((), (*self.forces, *self.disturbances)).held(duration, self.exponential, steps)
 
     @cached_property
     def open_loop(self) -> StateSpace:
