@@ -44,7 +44,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         exponential,
     )
     outputs = respond(loop, loop.plant.outputs, known)
-    response = response_by_name(road, dict(zip(loop.plant.outputs, outputs.T, strict=True)))
+    response = response_by_name(road, loop.plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.jump + model.Cr, True)
 
 
@@ -58,5 +58,5 @@ def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
         forcing = forcing + load_forcing(plant.A, Bl, road)
     acting = np.hstack([forces, road.velocities, road.heights, road.loads])
     outputs = recursion(Phi, forcing) @ plant.C.T + acting @ plant.D.T
-    response = response_by_name(road, dict(zip(plant.outputs, outputs.T, strict=True)))
+    response = response_by_name(road, plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)

@@ -190,10 +190,7 @@ def shown_outputs(loop: Loop) -> tuple[str, ...]:
 
 def shown(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
     """Returns all signals of the vehicle and of the law, from `shown_outputs` over N roads, shape (N, T, p)."""
-    runs = [
-        response_by_name(road, dict(zip(loop.plant.outputs, values.T, strict=False)))
-        for road, values in zip(roads, outputs, strict=True)
-    ]
+    runs = [response_by_name(road, loop.plant.outputs, values) for road, values in zip(roads, outputs, strict=True)]
     kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
     vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
     return vehicle.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
