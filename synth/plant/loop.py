@@ -222,7 +222,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
     states = recursion(system.A, push)
 
     def at_samples(rows: list[int]) -> Array:
-        return states @ system.C[rows].T + first @ system.D[np.ix_(rows, columns)].T
+        return states @ system.C[rows].T + first @ system.D[rows][:, columns].T
 
     if P == 1:
         return at_samples(rows)
