@@ -14,10 +14,9 @@ from models.common.arrays import Array, recursion
 from models.laws.linear import static_law
 from models.roads.road import RoadInput
 from sim.linear.outputs import response_by_name, with_linear_sides
-from sim.linear.sampled_response import disturbances, load_forcing, road_forcing
+from sim.linear.sampled_response import acting_on, disturbances, road_forcing
 from sim.response.response import Response
-from synth.controller.loop_of import HEIGHT, named, plant_of
-from synth.plant.discrete import held_inputs
+from synth.controller.loop_of import plant_of
 from synth.plant.loop import HoldInterval, Loop, respond
 
 
@@ -45,19 +44,14 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         exponential,
     )
     outputs = respond(loop, loop.plant.outputs, known)
-    response = response_by_name(road, dict(zip(loop.plant.outputs, outputs.T, strict=True)))
+    response = response_by_name(road, loop.plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.jump + model.Cr, True)
 
 
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
-    Phi, Gamma = held_inputs(plant.A, road.timestep, linalg.expm, plant.part((), model.inputs).B)
-    Bw, Br, Bl = (plant.part((), names).B for names in (model.disturbances, named(model.disturbances, HEIGHT), model.loads))
-    forcing = road_forcing(plant.A, Bw, Br, road) + forces @ Gamma.T
-    if road.loaded:
-        forcing = forcing + load_forcing(plant.A, Bl, road)
-    acting = np.hstack([forces, road.velocities, road.heights, road.loads])
-    outputs = recursion(Phi, forcing) @ plant.C.T + acting @ plant.D.T
-    response = response_by_name(road, dict(zip(plant.outputs, outputs.T, strict=True)))
+    Phi, Gamma = plant.part((), model.inputs).held(road.timestep)
+    outputs = recursion(Phi, road_forcing(plant, road) + forces @ Gamma.T) @ plant.C.T + acting_on(plant, road, forces)
+    response = response_by_name(road, plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)

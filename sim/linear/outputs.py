@@ -1,6 +1,6 @@
 """Signals of a vehicle by the states and inputs of its model over time, and forces by a preview of the road."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,30 +32,30 @@ def response_of(
         beside: additional signals, each of shape (T,), or None for the damper signals of these inputs.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
-    forces = dict(zip(named(model.inputs, HELD), inputs.T, strict=True))
-    return response_by_name(road, dict(zip(model.outputs, outputs.T, strict=True)) | forces, beside)
+    return response_by_name(road, (*model.outputs, *named(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
 
 
-def response_by_name(road: RoadInput, outputs: Mapping[str, Array], beside: Mapping[str, Array] | None = None) -> Response:
-    """Returns all signals of the vehicle from the outputs of its loop, by the names of `loop_of`, each of shape (T,).
+def response_by_name(
+    road: RoadInput, names: Sequence[str], outputs: Array, beside: Mapping[str, Array] | None = None
+) -> Response:
+    """Returns all signals of the vehicle from the outputs of its loop, shape (T, p).
 
     Args:
-        outputs: the vehicle's output signals, and the forces that its actuators are given.
+        names: names of the outputs as in `loop_of`: the vehicle's output signals, and the forces that its actuators are given.
         beside: additional signals, see `response_of`.
     """
-    vehicle, z_r, w, steady = road.vehicle, road.heights, road.velocities, road.steady_signals(road.time)
+    vehicle, steady, place = road.vehicle, road.steady_signals(road.time), {name: i for i, name in enumerate(names)}
     if beside is None and vehicle.dampers:
         from sim.linear.dampers import linear_signals
 
         states, forces = vehicle.linear_model.states, named(vehicle.linear_model.inputs, HELD)
-        beside = linear_signals(vehicle, *(np.stack([outputs[name] for name in names], axis=-1) for names in (states, forces)))
-    values = {}
-    for i, wheel in enumerate(vehicle.kind.wheels):
-        values |= {wheel.road_displacement: z_r[:, i], wheel.road_velocity: w[:, i]}
-    values |= dict(outputs) | dict(beside or {})
-    signals = vehicle.kind.signals
-    stacked = np.stack([values[signal.name] for signal in signals], axis=-1)
-    return Response(road.time, signals, stacked if steady is None else stacked + steady)
+        beside = linear_signals(vehicle, *(outputs[:, [place[name] for name in some]] for some in (states, forces)))
+    wheels, more, signals = vehicle.kind.wheels, beside or {}, vehicle.kind.signals
+    values = np.hstack([road.heights, road.velocities, outputs[:, : len(names)], *(one[:, None] for one in more.values())])
+    known = (*(one.road_displacement for one in wheels), *(one.road_velocity for one in wheels), *names, *more)
+    column = {name: i for i, name in enumerate(known)}
+    values = values[:, [column[signal.name] for signal in signals]]
+    return Response(road.time, signals, values if steady is None else values + steady)
 
 
 def with_linear_sides(response: Response, road: RoadInput, of_heights: Array, held: bool) -> Response:

@@ -51,6 +51,7 @@ from sim.response.response import Response
 from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.loop import Loop, respond
+from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
@@ -164,27 +165,19 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
     """Returns the response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
     loop, preview, model = loop_of(road.vehicle, controller), controller.preview, road.vehicle.linear_model
     system = loop.closed_loop.part(shown_outputs(loop), loop.closed_loop.inputs)
-    (B, D), (Bw, Dw), (Br, Dr), (Bl, Dl) = (
-        (system.B[:, columns], system.D[:, columns])
-        for columns in map(system.columns, (loop.forces, model.disturbances, named(model.disturbances, HEIGHT), model.loads))
-    )
-    forcing, Phi = road_forcing(system.A, Bw, Br, road), linalg.expm(system.A * road.timestep)
-    if road.loaded:
-        forcing += load_forcing(system.A, Bl, road)
+    Phi = linalg.expm(system.A * road.timestep)
+    forcing, forces = road_forcing(system, road), np.zeros((len(road.time), len(loop.forces)))
     if preview is None:
         states = recursion(Phi, forcing)
-        outputs = states @ system.C.T
     else:
-        ahead, P, drive = _continuous_ahead(preview, system.A, B, road)
-        states = _recursion_from(-P @ ahead[0], Phi, (forcing + drive)[:-1]) + ahead @ P.T
-        outputs = states @ system.C.T + ahead @ preview.C.T @ D.T
-    outputs += road.heights @ Dr.T
-    if Dw.any():
-        outputs += road.velocities @ Dw.T
-    if road.loaded:
-        outputs += road.loads @ Dl.T
+        ahead, P, drive = _continuous_ahead(preview, system.part((), loop.forces), road)
+        states, forces = _recursion_from(-P @ ahead[0], Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
+    outputs = states @ system.C.T + acting_on(system, road, forces)
     response = shown(loop, [road], outputs[None], controller).run(0)
-    return with_linear_sides(response, road, (system.C @ Bw + Dr)[: len(model.outputs)], False)
+    jump = system.part(model.outputs, named(model.disturbances, HEIGHT)).D
+    return with_linear_sides(
+        response, road, system.part(model.outputs, ()).C @ system.part((), model.disturbances).B + jump, False
+    )
 
 
 def shown_outputs(loop: Loop) -> tuple[str, ...]:
@@ -194,18 +187,23 @@ def shown_outputs(loop: Loop) -> tuple[str, ...]:
 
 def shown(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
     """Returns all signals of the vehicle and of the law, from `shown_outputs` over N roads, shape (N, T, p)."""
-    runs = [
-        response_by_name(road, dict(zip(loop.plant.outputs, values.T, strict=False)))
-        for road, values in zip(roads, outputs, strict=True)
-    ]
+    runs = [response_by_name(road, loop.plant.outputs, values) for road, values in zip(roads, outputs, strict=True)]
     kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
     vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
     return vehicle.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
-def road_forcing(A: Array, Bw: Array, Br: Array, road_input: RoadInput) -> Array:
-    """Returns the contribution of a road to the states of x' = A x + Bw w + Br z_r over the step from each sample, (T, n)."""
-    road, vehicle = road_input.felt, road_input.vehicle
+def acting_on(system: StateSpace, road: RoadInput, forces: Array) -> Array:
+    """Returns what forces, a road and its loads add to the outputs of a continuous system at the samples, shape (T, p)."""
+    model = road.vehicle.linear_model
+    names = (*model.inputs, *model.disturbances, *named(model.disturbances, HEIGHT), *model.loads)
+    return np.hstack([forces, road.velocities, road.heights, road.loads]) @ system.D[:, system.columns(names)].T
+
+
+def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
+    """Returns what a road and its loads add to the states of a continuous system over the step from each sample, (T, n)."""
+    road, vehicle, model, A = road_input.felt, road_input.vehicle, road_input.vehicle.linear_model, system.A
+    Bw, Br, Bl = (system.part((), some).B for some in (model.disturbances, named(model.disturbances, HEIGHT), model.loads))
 
     def push(t: Array) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ Bw.T
@@ -214,18 +212,21 @@ def road_forcing(A: Array, Bw: Array, Br: Array, road_input: RoadInput) -> Array
     forcing = _forcing(
         A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
     )
+    if road_input.loaded:
+        loads, kinks = road_input.road.loads, np.array(road_input.road.load_kinks)
+        forcing += _forcing(A, lambda t: loads(vehicle, t) @ Bl.T, kinks, road_input.time)
     return forcing + _leaps(A, Bw, road_input) if road.jumps else forcing
 
 
-def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: RoadInput) -> tuple[Array, Array, Array]:
+def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: RoadInput) -> tuple[Array, Array, Array]:
     """Returns g at the samples, shape (T, k), P, shape (n, k), and the drive of y over the steps from them, shape (T, n).
 
     A random road costs most where it is evaluated, so every node of the quadrature is used for all three integrals.
 
     Args:
-        A: state matrix of the closed loop, shape (n, n).
-        B: input matrix of the forces, shape (n, m).
+        system: the closed loop from the forces.
     """
+    A, B = system.A, system.B
     road, vehicle, time, h, T = road_input.felt, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     whole, later, count = int(T / h * (1 + WHOLE)), linalg.expm(preview.A * T), len(time)
@@ -294,12 +295,6 @@ def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
 def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
     """Returns x[k+1] = Phi x[k] + forcing[k] from a start, shape (n,), with its last, shape (T + 1, n); see `recursion`."""
     return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
-
-
-def load_forcing(A: Array, Bl: Array, road_input: RoadInput) -> Array:
-    """Returns the contribution of loads over the same steps."""
-    road, vehicle = road_input.road, road_input.vehicle
-    return _forcing(A, lambda t: road.loads(vehicle, t) @ Bl.T, np.array(road.load_kinks), road_input.time)
 
 
 def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:

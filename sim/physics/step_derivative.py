@@ -4,50 +4,26 @@ A step takes position, velocity, own states of parts and lagging forces z to A z
 before it measure C z + D u, with the forces of the step before.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics.sensor_readout import batch_of, prepared, states_of_parts
+from synth.plant.state_space import StateSpace
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
 SMOOTH = 1e-3  # of a difference: how far the two sides of equilibrium may differ
 
 
-@dataclass(frozen=True, eq=False)
-class StepDerivative:
-    """Derivative of one step of MuJoCo about equilibrium, with the road at rest.
-
-    Attributes:
-        A, B: shapes (n, n) and (n, m).
-        C, D: shapes (p, n) and (p, m).
-        names: names of the p signals.
-        lagging: number of lagging forces among the n states, the last ones.
-        timestep: timestep of the physics [s].
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    names: tuple[str, ...]
-    lagging: int
-    timestep: float
-
-    def rows(self, measured: Sequence[str]) -> Array:
-        """Returns the measurements on [z; u], shape (q, n + m)."""
-        return np.hstack([self.C, self.D])[[self.names.index(name) for name in measured]]
-
-
 @lru_cache(maxsize=16)
-def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
-    """Returns the derivative of a step, by central differences of runs side by side.
+def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
+    """Returns the derivative of a step about equilibrium, with the road at rest, by central differences of runs side by side.
+
+    Its states are positions, velocities, own states of parts, and lagging forces, which are called as the forces; its outputs are
+    the signals.
 
     Raises:
         InputError: MuJoCo has no derivative at equilibrium, because a curve bends there.
@@ -75,4 +51,6 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StepDerivative:
             "the vehicle has no derivative at equilibrium, where a curve has a kink; use sim.linear.nonlinear_elements.at_rest"
         )
     A, B, C, D = slopes[:n, :n].T, slopes[n:, :n].T, slopes[:n, n:].T, slopes[n:, n:].T
-    return StepDerivative(A, B, C, D, readout.names, model.na, timestep)
+    forces = vehicle.linear_model.inputs
+    states = (*(f"motion_{i}" for i in range(n - model.na)), *forces[: model.na])
+    return StateSpace(A, B, C, D, forces, readout.names, timestep, states)

@@ -29,14 +29,13 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
 from synth.analysis.stability import balance
-from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
+from synth.plant.state_space import StateSpace
 
 SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
 TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
@@ -285,7 +284,7 @@ class SampledLoop(Checked):
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
             # exp(A t) - I is the integral of exp(A s) A, computed as for a held input A: without cancellation.
-            piece = held_inputs(A, duration, linalg.expm, A)[1]
+            piece = StateSpace(A, A, A[:0], A[:0]).held(duration)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
         return total

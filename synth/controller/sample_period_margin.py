@@ -16,6 +16,7 @@ from scipy import linalg, optimize
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from synth.plant.loop import HoldInterval, Loop
+from synth.plant.state_space import spectral_radius
 
 DECAYS = 1e-9  # of the fastest of a law: a mode that decays as slowly does not
 FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
@@ -40,37 +41,30 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
     return bool(np.any(np.linalg.eigvals(law.A[np.ix_(both, both)]).real >= -DECAYS * np.abs(law.A).max(initial=0.0)))
 
 
-def _split(loop: Loop, forces: Sequence[str]) -> tuple[Array, Array, Array, Array, LinearLaw]:
-    """Returns A and B of what is not sampled, the measurements on its states and forces, and the sampled law."""
+def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
+    """Returns the loop of the forces that are sampled, in continuous time, around all that is not."""
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
-        return plant.A, plant.B, plant.C, plant.D, law
-    own, others = (_part(law, each) for each in (mine, ~mine))
-    into, k = plant.B[:, ~mine], others.states
-    A = np.block([[plant.A + into @ others.D @ plant.C, into @ others.C], [others.B @ plant.C, others.A]])
-    B = np.vstack([plant.B[:, mine], np.zeros((k, int(mine.sum())))])
-    return A, B, np.hstack([plant.C, np.zeros((len(plant.C), k))]), plant.D[:, mine], own
+        return replace(loop, plant=plant)
+    own, others = (tuple(np.array(loop.forces)[each].tolist()) for each in (mine, ~mine))
+    rest = Loop(plant, _part(law, ~mine), loop.measured, others).closed_loop.part(loop.measured, own)
+    return Loop(rest, _part(law, mine), loop.measured, own)
 
 
-def sampled_growth_at(loop: Loop, forces: Sequence[str], period: float) -> float:
-    """Returns the spectral radius of the loop that is sampled every period [s], less 1."""
-    if all_sampled(loop, forces):
-        plant = loop.plant.part(loop.measured, loop.forces)
-        transition = replace(loop, plant=plant, hold=(HoldInterval(period, 0),)).closed_loop.A
-    else:
-        (transition,) = transitions(loop, forces, 0.0, period, 1)
-    return float(np.abs(np.linalg.eigvals(transition)).max() - 1)
+def sampled_growth_at(loop: Loop, period: float) -> float:
+    """Returns the spectral radius of a loop if it is sampled every period [s], less 1."""
+    return spectral_radius(replace(loop, hold=(HoldInterval(period, 0),)).closed_loop.A) - 1
 
 
-def transitions(loop: Loop, forces: Sequence[str], start: float, step: float, count: int) -> Array:
-    """Returns the transitions of the sampled loop, by powers of one exponential, shape (count, N, N).
+def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
+    """Returns the transitions of a loop if it is sampled, by powers of one exponential, shape (count, N, N).
 
     The periods are start + step, start + 2 step and so on [s]. A discrete law counts as its continuous counterpart here, at its
     own sample period, too.
     """
-    A_rest, B_rest, C, D, law = _split(loop, forces)
-    (n, m), (k, q) = B_rest.shape, law.B.shape
-    held = _held(A_rest, B_rest, start, step, count)
+    plant, law = loop.plant.part(loop.measured, loop.forces), loop.acting_law
+    (n, m), (k, q), C, D = plant.B.shape, law.B.shape, plant.C, plant.D
+    held = _powers(np.vstack([np.hstack([plant.A, plant.B]), np.zeros((m, n + m))]), start, step, count)
     # As in `LinearLaw.sampled`, but for the ramp, which is not over the period yet.
     chain = np.zeros((k + 2 * q, k + 2 * q))
     chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
@@ -106,12 +100,6 @@ def _part(law: LinearLaw, forces: Array) -> LinearLaw:
     return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
 
-def _held(A: Array, B: Array, start: float, step: float, count: int) -> Array:
-    """Phi and Gamma side by side of x' = A x + B u with u held, over zeros and I, for those durations."""
-    n, m = B.shape
-    return _powers(np.vstack([np.hstack([A, B]), np.zeros((m, n + m))]), start, step, count)
-
-
 def _powers(A: Array, start: float, step: float, count: int) -> Array:
     """exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
     by, now = linalg.expm(A * step), linalg.expm(A * start)
@@ -131,9 +119,10 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     instabilities over less than a step. The result is 0 if a force comes back as large through its own measurement.
     """
     forces = loop.forces if forces is None else tuple(forces)
-    cut, growth = loop.cut(forces), partial(sampled_growth_at, loop, forces)
+    cut, part = loop.cut(forces), sampled_part(loop, forces)
     if cut.feedthrough_radius >= 1:
         return 0.0
+    growth = partial(sampled_growth_at, part)
     poles = np.linalg.eigvals(cut.A)
     start = 0.0
     while start < LONGEST:
@@ -143,12 +132,12 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
         h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
         begun = max(start - 2 * h, 0.0)  # for minima between two batches
         count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
-        products = _products(transitions(loop, forces, begun, h, count))
+        products = _products(transitions(part, begun, h, count))
         for i in range(count):
             first = begun + h * (1 + i)
             if products[i] > 0:
                 low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
-                first = _dip(loop, forces, first, h, products[i - 1 : i + 2]) if low else None
+                first = _dip(part, first, h, products[i - 1 : i + 2]) if low else None
             if first is not None and growth(first) > 0:  # not by rounding alone
                 before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
                 if growth(before) >= 0:  # a loop far faster than the plant: its rounding, or unstable before
@@ -159,7 +148,7 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     return math.inf
 
 
-def _dip(loop: Loop, forces: Sequence[str], period: float, h: float, products: Array) -> float | None:
+def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
     """Returns the period next to one [s] at which the product is least, or None if the parabola through three is far above 0."""
     bend = products[0] - 2 * products[1] + products[2]
     lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
@@ -167,7 +156,7 @@ def _dip(loop: Loop, forces: Sequence[str], period: float, h: float, products: A
         return None
 
     def product(at: float) -> float:
-        return max(float(_products(transitions(loop, forces, 0.0, at, 1))[0]), -bend)
+        return max(float(_products(transitions(loop, 0.0, at, 1))[0]), -bend)
 
     minimum: Any = optimize.minimize_scalar(
         product, bounds=(period - h, period + h), method="bounded", options={"xatol": SMALL * h}

@@ -1,4 +1,4 @@
-"""Discrete plants: zero-order hold, the bilinear map to a continuous plant with the same norms, and frequency responses.
+"""Discrete plants: the bilinear map to a continuous plant with the same norms, and frequency responses.
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) takes the unit circle to the imaginary axis and its inside to the left half plane. So
 a loop and the mapped loop have the same stability and norm, and the same X of the bounded-real LMI (20), but for a factor dt. The
@@ -12,8 +12,6 @@ float: z = (1 + j t) / (1 - j t) lies on the circle exactly, without the roundin
 is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 it is divided by j t.
 """
 
-import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,17 +21,6 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.plant.double_double import added, multiplied, product
 from synth.plant.generalized import GeneralizedPlant
-
-
-def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
-    """Returns Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
-    n = len(A)
-    columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
-    augmented = np.zeros((columns[-1], columns[-1]))
-    augmented[:n] = np.hstack([A, *inputs])
-    step = exponential(augmented * h)
-    return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
-
 
 LOST = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
 MOVES = 20  # gains that are tried if A has a pole next to -1

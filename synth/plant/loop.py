@@ -16,8 +16,8 @@ In frequency, a force that was computed j samples ago is exp(-j s T) times the n
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +26,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.checks import Checked, Index, PositiveTime
 from models.laws.linear import LinearLaw
-from synth.plant.discrete import held_inputs
-from synth.plant.state_space import StateSpace, spectral_radius
+from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
 LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
 
@@ -55,10 +54,10 @@ def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A plant in continuous time under a linear law.
+    """A plant under a linear law.
 
     Attributes:
-        plant: the plant; n states.
+        plant: the plant, n states: in continuous time, or from step to step, if its inputs are held.
         law: from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law sets.
@@ -73,7 +72,7 @@ class Loop:
     forces: tuple[str, ...]
     hold: tuple[HoldInterval, ...] = ()
     step: float | None = None
-    exponential: Callable[[Array], Array] = field(default=linalg.expm)
+    exponential: Exponential = linalg.expm
 
     @cached_property
     def acting_law(self) -> LinearLaw:
@@ -82,6 +81,8 @@ class Loop:
         Raises:
             InputError: the law cannot be run so, see `LinearLaw`.
         """
+        if not self.law.states:
+            return self.law
         return self.law.sampled(self.period) if self.hold else self.law.continuous()
 
     @cached_property
@@ -130,10 +131,8 @@ class Loop:
 
     def held(self, duration: float) -> tuple[Array, Array]:
         """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
-        B = self.plant.B[:, self.plant.columns((*self.forces, *self.disturbances))]
         steps = 1 if self.step is None else round(duration / self.step)
-        Phi, Gamma = held_inputs(self.plant.A, duration, lambda M: np.linalg.matrix_power(self.exponential(M / steps), steps), B)
-        return Phi, Gamma
+        return self.plant.part((), (*self.forces, *self.disturbances)).held(duration, self.exponential, steps)
 
     @cached_property
     def open_loop(self) -> StateSpace:
@@ -191,10 +190,6 @@ class Loop:
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
 
-    def known(self, inputs: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Returns the columns of `inputs` among those of `closed_loop`, and their values along a new last axis."""
-        return np.array(self.closed_loop.columns(list(inputs)), dtype=int), np.stack(list(inputs.values()), axis=-1)
-
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> Array:
@@ -208,41 +203,44 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
         inputs: disturbances at every step, held over it, and what adds to the requested forces, at the samples, by name, each of
             shape (..., T).
     """
-    columns, values = loop.known(inputs)
-    *runs, T, c = values.shape
-    system, lates = loop.closed_loop, loop.by_step
-    P, n, m = len(lates), len(loop.plant.A), len(loop.forces)
-    K, rows = -(-T // P), system.rows(outputs)
-    d = np.zeros((*runs, K * P, c))
-    d[..., :T, :] = values
-    d = d.reshape(*runs, K, P, c)
-    push = d[..., 0, :] @ system.B[:, columns].T
+    system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
+    *runs, T = next(iter(inputs.values())).shape
+    P, n, m, columns = len(lates), len(loop.plant.A), len(loop.forces), np.array(system.columns(names), dtype=int)
+    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m
+    d = np.zeros((*runs, K * P, len(names)))
+    for i, values in enumerate(inputs.values()):
+        d[..., :T, i] = values
+    d = d.reshape(*runs, K, P, len(names))
+    first, held = d[..., 0, :], d[..., outside]
+    push = first @ system.B[:, columns].T
+    Phi, Gamma = (system.A, system.B) if P == 1 else loop.held(loop.step or 0.0)
     if P > 1:  # disturbances that change within the period
-        Phi, Gamma = loop.held(loop.step or 0.0)
-        outside = columns >= m
-        change, more = (d - d[..., :1, :])[..., outside] @ Gamma[:, columns[outside]].T, 0.0
+        change, more = (held - held[..., :1, :]) @ Gamma[:, columns[outside]].T, 0.0
         for i in range(1, P):
             more = more @ Phi.T + change[..., i, :] if i > 1 else change[..., i, :]
         push[..., :n] += more
     states = recursion(system.A, push)
-    y = states @ system.C[rows].T + d[..., 0, :] @ system.D[np.ix_(rows, columns)].T
+
+    def at_samples(rows: list[int]) -> Array:
+        return states @ system.C[rows].T + first @ system.D[rows][:, columns].T
+
     if P == 1:
-        return y
-    everything = np.empty((*runs, K, P, len(rows)))
-    everything[:] = y[..., None, :]
-    own = [i for i, row in enumerate(rows) if row < len(loop.plant.outputs)]
-    plant = loop.plant.part([outputs[i] for i in own], (*loop.forces, *loop.disturbances))
-    requested = system.rows(loop.requested)
-    computed = states @ system.C[requested].T + d[..., 0, :] @ system.D[np.ix_(requested, columns)].T
-    for force in np.flatnonzero(columns < m):
-        computed[..., columns[force]] += d[..., 0, force]
-    x, outside = states[..., :n], columns >= m
-    d, columns = d[..., outside], columns[outside]
-    by_delay = {late: _delayed(computed, late) for late in lates}
-    for i, late in enumerate(lates):
-        everything[..., i, own] = x @ plant.C.T + by_delay[late] @ plant.D[:, :m].T + d[..., i, :] @ plant.D[:, columns].T
-        x = x @ Phi.T + by_delay[late] @ Gamma[:, :m].T + d[..., i, :] @ Gamma[:, columns].T
-    return everything.reshape(*runs, K * P, len(rows))[..., :T, :]
+        return at_samples(rows)
+    computed = at_samples(system.rows(loop.requested))
+    for force in np.flatnonzero(~outside):
+        computed[..., columns[force]] += first[..., force]
+    acting = np.concatenate([np.stack([_delayed(computed, late) for late in lates], axis=-2), held], axis=-1)
+    acts = [*range(m), *columns[outside]]
+    moved, x = acting @ Gamma[:, acts].T, np.empty((*runs, K, P, n))
+    x[..., 0, :] = states[..., :n]
+    for i in range(1, P):
+        x[..., i, :] = x[..., i - 1, :] @ Phi.T + moved[..., i - 1, :]
+    plant = loop.plant.part(loop.plant.outputs, (*loop.forces, *loop.disturbances))
+    at_steps = [row if row < len(plant.outputs) else 0 for row in rows]
+    y = x @ plant.C[at_steps].T + acting @ plant.D[np.ix_(at_steps, acts)].T
+    if others := [i for i, row in enumerate(rows) if row >= len(plant.outputs)]:
+        y[..., others] = at_samples([rows[i] for i in others])[..., None, :]
+    return y.reshape(*runs, K * P, len(rows))[..., :T, :]
 
 
 def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:

@@ -1,13 +1,16 @@
 """Linear systems with named inputs and outputs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, without_loop
+
+Exponential = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,20 @@ class StateSpace:
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
+
+    def held(self, duration: float, exponential: Exponential = linalg.expm, steps: int = 1) -> tuple[Array, Array]:
+        """Returns Phi and Gamma of a duration [s] with held inputs: they take states and inputs to the states at its end.
+
+        Args:
+            exponential: the matrix exponential, of each of so many equal steps; not used for a system in discrete time.
+        """
+        n, k = self.B.shape
+        if self.dt is None:
+            step = exponential(np.vstack([np.hstack([self.A, self.B]), np.zeros((k, n + k))]) * (duration / steps))
+        else:
+            step, steps = np.vstack([np.hstack([self.A, self.B]), np.eye(k, n + k, n)]), round(duration / self.dt)
+        whole = np.linalg.matrix_power(step, steps)
+        return whole[:n, :n], whole[:n, n:]
 
     def response(self, at: Array) -> Array:
         """Returns C (s - A)^-1 B + D at s, or at z of a system in discrete time, shape (F,); complex, shape (F, p, k)."""

@@ -33,6 +33,7 @@ from sim.campaign.file import read_campaign
 from sim.campaign.plan import FEWEST, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
+from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.physics import RUNS_AT_ONCE
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import validity
@@ -51,7 +52,7 @@ from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.front import front
 from tests.benchmarks.pairs import paired_ratio, summed_ratio
 from tests.benchmarks.states import chain
-from tests.support.analysed import simulate
+from tests.support.analysed import sampled_response, simulate
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 
@@ -130,6 +131,28 @@ def test_controller_with_states(benchmark, name, runs, samples, claim):
     sample_times, vehicles, roads = np.arange(samples) * 1e-3, [vehicle] * runs, [Bump()] * runs
     calls = [partial(simulate, vehicles, [one] * runs, roads, sample_times) for one in (replace(static, law=law), static)]
     paired_ratio(benchmark, calls[0], calls[1], 9, claim)
+
+
+LATE = Implementation(sample_period=5e-3, delay=1.5)
+RESPONDING = [("half_car", "I"), ("quarter_car_accelerometer", "accelerometer")]
+
+
+@pytest.mark.parametrize(("name", "law"), RESPONDING)
+def test_response(benchmark, name, law):
+    """The linear response of a late computer over 6000 steps takes at most 1.5 times that of one that samples every step."""
+    prompt = read_vehicle(name)
+    late, controller, times = replace(prompt, implementation=LATE), Designer(prompt).design(law), np.arange(6001) * 5e-4
+    calls = [partial(sampled_response, vehicle, controller, Bump(), times) for vehicle in (late, prompt)]
+    paired_ratio(benchmark, calls[0], calls[1], 15, 1.5, time.process_time)
+
+
+@pytest.mark.parametrize(("name", "law"), RESPONDING)
+def test_frequency_response(benchmark, name, law):
+    """The frequency response of a late computer takes at most 8 times that of the continuous loop."""
+    vehicle, omega = replace(read_vehicle(name), implementation=LATE), np.geomspace(0.1, 600, 400)
+    controller = Designer(vehicle).design(law)
+    calls = partial(sampled_frequency_response, timestep=5e-4), continuous_frequency_response
+    paired_ratio(benchmark, *(partial(call, vehicle, controller, omega) for call in calls), 15, 8.0, time.process_time)
 
 
 def test_rates(benchmark):

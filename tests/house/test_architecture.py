@@ -53,8 +53,8 @@ ROOMS = {
     "sim.response": "models.document models.characteristics models.kinds models.parts models.vehicle",
     "sim.linear": "models.laws models.characteristics models.kinds models.parts models.vehicle models.roads synth.plant "
     "synth.controller sim.response",
-    "sim.physics": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.controller "
-    "sim.response",
+    "sim.physics": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.plant "
+    "synth.controller sim.response",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.plant synth.controller synth.vehicle sim.response sim.linear sim.physics",
     "sim.recording": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "

@@ -14,7 +14,14 @@ from models.laws.linear import LinearLaw, static_law
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of
-from synth.controller.sample_period_margin import LONGEST, all_sampled, largest_sample_period, sampled_growth_at
+from synth.controller.sample_period_margin import (
+    LONGEST,
+    all_sampled,
+    largest_sample_period,
+    sampled_growth_at,
+    sampled_part,
+    transitions,
+)
 from synth.controller.stability_margins import (
     _sign_changes,
     crossovers,
@@ -241,7 +248,10 @@ def test_integrators_that_two_forces_share_are_sampled_together():
         periods = [largest_sample_period(loop, forces) for forces in cuts]
         assert (periods[0] == periods[1]) == together
         for forces, period in zip(cuts, periods, strict=True):
-            assert sampled_growth_at(loop, forces, 0.99 * period) < 0 < sampled_growth_at(loop, forces, 1.01 * period)
+            part = sampled_part(loop, forces)
+            assert sampled_growth_at(part, 0.99 * period) < 0 < sampled_growth_at(part, 1.01 * period)
+            (batched,) = transitions(part, 0.9 * period, 0.1 * period, 1)
+            assert np.abs(np.linalg.eigvals(batched)).max() == pytest.approx(1, abs=1e-9)
 
 
 def test_an_instability_shorter_than_a_step_is_found():
@@ -253,7 +263,7 @@ def test_an_instability_shorter_than_a_step_is_found():
     B, K = np.array([[0.0], [1.0], [1.0]]), np.array([[0.0, -0.05, -1.0]])
     loop = loop_under(mode, B, K)
     found = largest_sample_period(loop)
-    growth = [sampled_growth_at(loop, loop.forces, found + shift) for shift in (-37e-6, -1e-9, 1e-9, 0.2e-6, 37e-6)]
+    growth = [sampled_growth_at(loop, found + shift) for shift in (-37e-6, -1e-9, 1e-9, 0.2e-6, 37e-6)]
     assert [one > 0 for one in growth] == [False, False, True, False, False]
     assert found == pytest.approx(np.pi / 1360, rel=1e-4)
     exact = expm(mode * found)

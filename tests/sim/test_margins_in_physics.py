@@ -166,7 +166,7 @@ def test_infinite_margins_in_physics(paper):
 def search_that_found(amount: float) -> StabilityEdge:
     """A search that has ended there; nowhere if it is infinite."""
     ends = (1.0, math.inf) if math.isinf(amount) else (0.9995 * amount, 1.0005 * amount)
-    step: Any = SimpleNamespace(timestep=1e-3)
+    step: Any = SimpleNamespace(dt=1e-3)
     trial: Any = float
     return StabilityEdge(step, trial, amount, 32.0, 0.0, *ends, searched=True)
 

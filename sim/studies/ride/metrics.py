@@ -77,8 +77,7 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
     closed = loop_of(vehicle, controller).closed_loop.part(model.outputs, model.loads)
     if np.linalg.eigvals(closed.A).real.max() >= 0:
         return {}
-    values = closed.D @ load - closed.C @ np.linalg.solve(closed.A, closed.B @ load)
-    outputs = dict(zip(model.outputs, values, strict=True))
+    outputs = dict(zip(model.outputs, closed.response(np.zeros(1))[0] @ load, strict=True))
     sums = angles_of(vehicle).items()
     return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 

@@ -10,29 +10,30 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
+from synth.plant.state_space import StateSpace
 
 FEW = 60  # states and pending forces; of so few all eigenvalues are quicker
 LARGEST = 4  # eigenvalues that are requested: two pairs, should two loops of a symmetric vehicle be alike
 
 
-def slowest_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> complex:
-    """Returns the delay-th power of the largest eigenvalue z of x[k+1] = Phi x[k] + Gamma G x[k-delay], and z without delay."""
-    return _slowest_over_delay(Phi, Gamma, G, delay) if delay else _largest(np.linalg.eigvals(Phi + Gamma @ G))
+def slowest_from_sample_to_sample(cut: StateSpace, delay: int) -> complex:
+    """Returns the delay-th power of the largest eigenvalue z of x[k+1] = A x[k] + B C x[k-delay], and z without delay."""
+    return _slowest_over_delay(cut, delay) if delay else _largest(np.linalg.eigvals(cut.loop_matrix(1.0)))
 
 
-def mode(Phi: Array, Gamma: Array, G: Array, delay: int, over_delay: complex) -> tuple[complex, Array]:
+def mode(cut: StateSpace, delay: int, over_delay: complex) -> tuple[complex, Array]:
     """Returns that eigenvalue z from its power, and its vector x, shape (n,)."""
     # Over a delay it has turned by any number of whole turns; one of them solves the equation.
     tried = over_delay ** (1 / max(delay, 1)) * np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
-    late = Phi + Gamma @ G / (over_delay if delay else 1.0)
+    late = cut.loop_matrix(1 / over_delay if delay else 1.0)
     sizes = np.abs(np.linalg.eigvals(late) - tried[:, None]).min(axis=1)
     z = complex(tried[int(np.argmin(sizes))])
-    return z, np.linalg.svd(z * np.eye(len(Phi)) - late)[2][-1].conj()
+    return z, np.linalg.svd(z * np.eye(len(late)) - late)[2][-1].conj()
 
 
-def _slowest_over_delay(Phi: Array, Gamma: Array, G: Array, delay: int) -> complex:
+def _slowest_over_delay(cut: StateSpace, delay: int) -> complex:
     """Returns the largest eigenvalue of the delay-th power of the map from sample to sample."""
-    n, m = Gamma.shape
+    Phi, Gamma, G, (n, m) = cut.A, cut.B, cut.C, cut.B.shape
     size = n + delay * m
     moved = np.empty((delay + 1, n, n))  # powers of Phi
     moved[0] = np.eye(n)

@@ -13,8 +13,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from sim.physics.run_blocks import BatchInputs, in_blocks
-from sim.physics.step_derivative import StepDerivative
 from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
+from synth.plant.state_space import StateSpace
 
 WIDTH = 2e-3  # relative; of the bracket of a real number
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2, 1.5, 2.5, 4.0, 8.0  # times what is expected
@@ -45,7 +45,7 @@ class StabilityEdge:
         runs: rates of the runs on both sides by their amounts [1/s]; NaN if a run is too short to tell its rate.
     """
 
-    step: StepDerivative
+    step: StateSpace
     trial: Callable[[float], Trial]
     expected: float
     most: float
@@ -55,6 +55,12 @@ class StabilityEdge:
     searched: bool = False
     runs: dict[float, float] = field(default_factory=dict)
     _loops: dict[float, SimulatedLoop] = field(default_factory=dict)
+
+    @property
+    def timestep(self) -> float:
+        """Timestep of the physics [s]."""
+        assert self.step.dt is not None
+        return self.step.dt
 
     @property
     def decided(self) -> bool:
@@ -135,9 +141,9 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
     """Returns the rate of each run of MuJoCo that starts in the slowest mode of its loop [1/s]; NaN if it moves too little."""
     if not trials:
         return []
-    vehicles, timestep = [trial.vehicle for trial in trials], loops[0].timestep
+    vehicles, timestep = [trial.vehicle for trial in trials], loops[0].loop.step or 0.0
     starts = [loop.start(vehicle.limits.actuator_force) for loop, vehicle in zip(loops, vehicles, strict=True)]
-    lengths = [round(_duration(loop) / loop.period) * round(loop.period / timestep) for loop in loops]
+    lengths = [round(_duration(loop) / loop.loop.period) * round(loop.loop.period / timestep) for loop in loops]
     undelayed = [trial.undelayed for trial in trials]
     road = np.zeros((max(lengths) + 1, len(trials), len(vehicles[0].kind.wheels)))
     edges = [*range(0, len(road), BLOCK), len(road)]
@@ -156,7 +162,7 @@ def _duration(loop: SimulatedLoop) -> float:
     """Returns how long a run takes [s]: until its mode has changed, or all pending forces have acted."""
     rate = max(abs(loop.rate), CLEAR / SLOW)
     needed = min(max(CHANGE / rate, SHORTEST), max(LONGEST, min(20 * CLEAR / rate, SLOW)))
-    return max(math.ceil(needed / loop.period), loop.delay + 2) * loop.period
+    return max(math.ceil(needed / loop.loop.period), loop.delay + 2) * loop.loop.period
 
 
 def _rate(state: Array, start: Array, loop: SimulatedLoop, duration: float) -> float:

@@ -49,7 +49,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
     def rate(trial: Trial) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
-            return math.log(abs(slowest_from_sample_to_sample(cut.A, cut.B, cut.C, int(steps)))) / steps / timestep
+            return math.log(abs(slowest_from_sample_to_sample(cut, int(steps)))) / steps / timestep
         return math.log(radius(loop_of(trial.vehicle, trial.controller, timestep))) / timestep
 
     gain, period = loop.gain, loop.sample_period

@@ -13,15 +13,16 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
-from sim.physics.step_derivative import StepDerivative, step_derivative
+from sim.physics.step_derivative import step_derivative
 from sim.runs.run import sample_times
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
 from sim.studies.stability.simulated_loop import Trial
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
-from synth.controller.sample_period_margin import sampled_growth_at
+from synth.controller.sample_period_margin import sampled_growth_at, sampled_part
 from synth.controller.stability_margins import LARGEST_FACTOR, Margins, gain_crossings, margins
+from synth.plant.state_space import StateSpace
 
 BUMP = Bump(height=2e-5, length=20.0, speed=100.0, track="left")  # of recorded runs: soon over, lifts no wheel
 LONGEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
@@ -59,7 +60,7 @@ class GainMargin:
         own: float,
         sampled: Callable[[float], float],
         timestep: float,
-        derivative: Callable[[float], StepDerivative],
+        derivative: Callable[[float], StateSpace],
         trial: Callable[[float], Trial],
         most: float,
     ) -> Self:
@@ -264,8 +265,8 @@ def find_all(loops: Sequence[LoopMargins], progress: Callable[[str], None] = no_
     others = [search for one in loops for search in (one.delay, one.sample_period) if search.most]
     search_and_run([*(gain.search for gain in gains), *others], progress)
     finer = [one for gain in gains if gain.doubtful for one in gain.searches[1:]]
-    for timestep in sorted({one.step.timestep for one in finer}, reverse=True):
-        search_and_run([one for one in finer if one.step.timestep == timestep], progress)
+    for timestep in sorted({one.timestep for one in finer}, reverse=True):
+        search_and_run([one for one in finer if one.timestep == timestep], progress)
 
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
@@ -288,7 +289,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
 
     def late_grows(delay: float) -> bool:
         cut = loop_of(prompt, controller, timestep).cut(forces)
-        return abs(slowest_from_sample_to_sample(cut.A, cut.B, cut.C, round(delay / timestep))) > 1
+        return abs(slowest_from_sample_to_sample(cut, round(delay / timestep))) > 1
 
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     late, period = (amount if amount < SLOWEST else math.inf for amount in (late, predicted.sample_period))
@@ -300,7 +301,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         timestep=timestep,
         predicted_delay=predicted.delay,
         late_grows=late_grows,
-        slow_grows=lambda period: sampled_growth_at(continuous, forces, period) > 0,
+        slow_grows=lambda period: sampled_growth_at(sampled_part(continuous, forces), period) > 0,
     )
 
 
@@ -343,7 +344,7 @@ def _gain_margins(
     actuators: Sequence[int],
     predicted: Margins,
     timestep: float,
-    derivative: Callable[[float], StepDerivative],
+    derivative: Callable[[float], StateSpace],
 ) -> Iterator[GainMargin]:
     """Yields the gain margin of some forces and the lower one.
 

@@ -144,7 +144,7 @@ def _pair(predicted: float, found: float) -> dict[str, Any]:
 
 def _sampled_object(margin: GainMargin) -> dict[str, Any]:
     """Returns the margin of the sampled loop at each timestep that physics ran with."""
-    sampled = [{"timestep": search.step.timestep, **_pair(at, search.found)} for at, search in margin.tried]
+    sampled = [{"timestep": search.timestep, **_pair(at, search.found)} for at, search in margin.tried]
     return {"extrapolated": margin.extrapolated, "sampled": sampled}
 
 
@@ -305,7 +305,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
 def _sampled_rows(gain: GainMargin, power: int = 1, scale: float = 1.0) -> list[Row]:
     """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     return [
-        Row(f"  sampled every {1e3 * search.step.timestep:g} ms", scale * at**power, scale * search.found**power, extra=True)
+        Row(f"  sampled every {1e3 * search.timestep:g} ms", scale * at**power, scale * search.found**power, extra=True)
         for at, search in gain.tried
         if gain.finer.searched
     ]
