@@ -25,8 +25,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import heights_read, readings_of_road, sampled
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 FORGOTTEN = 1e-5  # per period, of what the mean of the road's velocity is from: without, its integral would not decay
 
@@ -119,7 +118,9 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
         )
     Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
-    return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(how.sample_period, how.delay), rms)
+    return SampledDataProblem(
+        replace(plant_as_built(vehicle), Cy=Cy, Dyu=through), hold_intervals(how.sample_period, how.delay), rms
+    )
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
@@ -150,11 +151,10 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     Cy, through = measurements(vehicle.without_integrals, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, model = plant_as_built(vehicle), vehicle.linear_model
     felt = model.Dw[[model.outputs.index(name) for name in controller.measured]]
-    Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))]) if felt.any() else None
-    plant, G = on_larger_plant(plant, Cy, controller.law.continuous().fed_back(through), Dyw)
-    return hinf_norm(plant.closed_loop(G)).value
+    Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))])
+    return hinf_norm(replace(plant, Cy=Cy, Dyu=through, Dyw=Dyw).closed(controller.law.continuous())).value
 
 
-def plant_as_built(vehicle: Vehicle) -> GeneralizedPlant:
+def plant_as_built(vehicle: Vehicle) -> Plant:
     """Returns the plant (15) behind its actuators' lag, if they have one; z weights the acting forces."""
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

@@ -27,11 +27,10 @@ from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_m
 from synth.lmi.sdp import first_step, second_step, together
 from synth.plant.generalized import (
     Feedback,
-    GeneralizedPlant,
+    Plant,
     check_continuous,
     check_inputs,
     check_posed,
-    measurement_matrices,
     real_matrix,
 )
 from synth.plant.numerics import DesignError, numerics
@@ -72,7 +71,7 @@ class SlackDesign:
 
 @numerics()
 def slack_design(
-    plants: Sequence[GeneralizedPlant],
+    plants: Sequence[Plant],
     Cys: Sequence[Array],
     structure: Array | None = None,
     f: Sequence[float] = (0.1, 0.3, 1.0),
@@ -104,7 +103,7 @@ def slack_design(
     Cys, allowed = _checked(plants, Cys, structure, f)
     n, m = plants[0].B.shape
     fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "the one with a slack variable")
-    rows = independent_rows(plants[0], Cys[0])
+    rows = independent_rows(plants[0].measured(Cys[0]))
     problem = _Problem(plants, [Cy[rows] for Cy in Cys], allowed[:, rows])
     candidates: list[tuple[float, float, float, Array]] = []
     failures: list[DesignError] = []
@@ -138,7 +137,7 @@ def slack_design(
 
 
 def _checked(
-    plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
+    plants: Sequence[Plant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
 ) -> tuple[list[Array], Array]:
     """Returns the checked C_y of each plant, and the structure of K as bools, shape (m, q)."""
     if not plants or len(plants) != len(Cys):
@@ -147,7 +146,7 @@ def _checked(
         check_inputs(plant)
         check_continuous(plant)
         check_posed(plant)
-    checked = [measurement_matrices(plant, Cy)[0] for plant, Cy in zip(plants, Cys, strict=True)]
+    checked = [plant.measured(Cy).Cy for plant, Cy in zip(plants, Cys, strict=True)]
     for i, (plant, Cy) in enumerate(zip(plants, checked, strict=True)):
         if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
             raise InputError(
@@ -170,8 +169,8 @@ def _checked(
 class _Problem:
     """A family in units in which all numbers of the first plant have size one, and all measure the same."""
 
-    def __init__(self, plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], pattern: Array) -> None:
-        units = own_units(plants[0], Cys[0])
+    def __init__(self, plants: Sequence[Plant], Cys: Sequence[Array], pattern: Array) -> None:
+        units = own_units(plants[0].measured(Cys[0]), measured=True)
         self.rate, self.pattern, self.input_units = units.rate, pattern, units.inputs
         self.lengths = np.linalg.norm(Cys[0] * units.states, axis=1)
         rows = [Cy * units.states / self.lengths[:, None] for Cy in Cys]

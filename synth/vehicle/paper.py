@@ -20,7 +20,7 @@ from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.two_step import state_path, two_step_design, zero_l_design
 from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
@@ -159,11 +159,11 @@ class Way:
     seconds: float
 
 
-def absolute_states(plant: GeneralizedPlant) -> GeneralizedPlant:
+def absolute_states(plant: Plant) -> Plant:
     """The paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and w = z_r."""
     A = np.vstack([np.eye(4)[2:], plant.A[2:] @ TO_RELATIVE])
     B, Bw = (np.vstack([np.zeros((2, 1)), rows]) for rows in (plant.B[2:], plant.A[2:] @ ROAD))
-    return GeneralizedPlant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
+    return Plant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
@@ -176,7 +176,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
         best = state_path(plant)[-1].gamma
         for name, Cy in CY.items():
             try:
-                design = zero_l_design(plant, Cy @ turned)
+                design = zero_l_design(plant.measured(Cy @ turned))
             except NoSolutionError:
                 cases.append(WithoutL(name, states, None, None, best))
             else:
@@ -202,7 +202,12 @@ def remark_5(designer: Designer) -> list[Way]:
 
         begin = time.process_time()
         search = differential_evolution(
-            norm, [(-BOX, BOX)] * len(Cy), (Landscape(plant, Cy),), rng=np.random.default_rng(SEED), tol=TOLERANCE, polish=False
+            norm,
+            [(-BOX, BOX)] * len(Cy),
+            (Landscape(plant.measured(Cy)),),
+            rng=np.random.default_rng(SEED),
+            tol=TOLERANCE,
+            polish=False,
         )
         seconds = time.process_time() - begin
         value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by both routes; one is enough to search by

@@ -52,7 +52,8 @@ def test_generalized():
     D = system.D.copy()
     D[3:, 2:] = 0
     system = System(system.A, system.B, system.C, D)
-    plant, Cy, Dyw = generalized(system, 2, 3)
+    plant = generalized(system, 2, 3)
+    Cy, Dyw = plant.Cy, plant.Dyw
     np.testing.assert_allclose(plant.frequency_response(OMEGA), response(system)[:, :3, :2], rtol=1e-12)
     np.testing.assert_allclose(response(System(plant.A, plant.Bw, Cy, Dyw)), response(system)[:, 3:, :2], rtol=1e-12)
     np.testing.assert_allclose(response(System(plant.A, plant.B, Cy, np.zeros((2, 1)))), response(system)[:, 3:, 2:], rtol=1e-12)

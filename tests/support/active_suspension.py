@@ -8,7 +8,7 @@ each frequency, weighed against each other by one number: 0.01 for comfort, 0.99
 import numpy as np
 
 from synth.plant.augmented import System, append, gain, generalized, series, transfer_function
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 SCENARIOS = (0.01, 0.5, 0.99)
 PRINTED = {0.01: (0.94, 0.93962), 0.5: (0.67, 0.67222), 0.99: (0.89, 0.88515)}  # norms printed there, and by LMI elsewhere
@@ -24,8 +24,8 @@ def quarter_car() -> System:
     return System(A, B, np.array([[1, 0, -1, 0], body]), np.array([[0, 0], [0, 1e3 / BODY]]))
 
 
-def active_suspension(handling: float) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
-    """The plant, C_y and Dyw of a scenario: 8 states, w = road and two noises, y = deflection and acceleration."""
+def active_suspension(handling: float) -> Plant:
+    """The plant of a scenario: 8 states, w = road and two noises, y = deflection and acceleration."""
     actuator = transfer_function([1], [1 / 60, 1])
     # [w; u] -> [road, force, noise, noise, u]
     asked = series(gain([[1], [1]]), append(actuator, gain(1)))

@@ -38,7 +38,7 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         plant, Cy = random_loop(rng)
         rates = np.sort(np.abs(np.linalg.eigvals(plant.A)))
         low, high = rates[0] * rng.uniform(0, 1), rates[-1] * rng.uniform(1, 3)
-        landscape = BandLandscape(plant, Cy, None, (low, high))
+        landscape = BandLandscape(plant.measured(Cy), (low, high))
         x = 0.02 * rng.standard_normal(landscape.scale.size)
         height, at = landscape.norm(x)
         if not np.isfinite(height):

@@ -22,7 +22,7 @@ from models.common.arrays import Array
 from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
 from synth.analysis.stability import balance
 from synth.plant.discrete import mapped
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 FAR = 1e4  # times the fastest pole
 POLES = 0.3  # of the work of a norm: the poles alone
@@ -156,29 +156,22 @@ class Landscape:
 
     def __init__(
         self,
-        plant: GeneralizedPlant,
-        Cy: Array,
-        Dyw: Array | None = None,
-        through: Array | None = None,
+        plant: Plant,
         structure: Array | None = None,
         work: Work | None = None,
     ) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
-        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
+        plant: n states, m inputs, r disturbances and q measurements.
         structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
         work: counts the norms; without a limit if it is not given.
         """
-        where = mapped(plant, Cy, Dyw)
-        plant, Cy, self.Dyw, self.before = where.plant, where.Cy, where.Dyw, where.before
-        self.Dyu = where.Dyu if through is None else where.Dyu + through
+        plant, self.before = mapped(plant)
+        self.Dyw, self.Dyu = plant.Dyw, plant.Dyu
         self.through = bool(np.any(self.Dyu))
         self.A, self.balancing = balance(plant.A)
         balancing = self.balancing
         self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
-        self.C, self.Cy = plant.C * balancing, Cy * balancing
+        self.C, self.Cy = plant.C * balancing, plant.Cy * balancing
         self.D, self.Dw = plant.D, plant.Dw
         self.noisy = bool(np.any(self.Dyw))
         self.shape = (self.B.shape[1], len(self.Cy))

@@ -24,7 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, quasi_newton
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 SMALLEST = -2  # decade of the first sample, in the landscape's units
@@ -182,8 +182,8 @@ def shifted(landscape: Landscape, shift: float) -> Landscape:
     """The landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
     n, m = landscape.B.shape
     eye, nothing = np.eye(n), np.zeros((n, n))
-    plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
-    moved = Landscape(plant, landscape.Cy)
+    plant = Plant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing, Cy=landscape.Cy)
+    moved = Landscape(plant)
     moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
     moved.free, moved.work, moved.price = landscape.free, landscape.work, OF_ALL * landscape.price
     return moved

@@ -15,7 +15,7 @@ from scipy import linalg, optimize
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.lmi.unobservable import output_nulling_subspace
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 RANK = 1e-10  # relative; a singular value this small counts as none
@@ -79,6 +79,4 @@ def _silent(A: Array, C: Array) -> Array:
     """An orthonormal basis of the states that C never shows while A moves them, shape (n, k)."""
     n = len(A)
     nothing = np.zeros((n, 1))
-    return output_nulling_subspace(
-        GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T
-    )[1]
+    return output_nulling_subspace(Plant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T)[1]

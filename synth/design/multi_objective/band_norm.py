@@ -13,7 +13,7 @@ from models.common.arrays import Array
 from synth.analysis.norm import highest, level_crossings
 from synth.design.descent.landscape import NEAR, Landscape, climbed
 from synth.plant.discrete import mapped_frequency
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 EVERYWHERE = (0.0, np.inf)
 Band = tuple[float, float]
@@ -27,24 +27,13 @@ class BandLandscape(Landscape):
         own: number of its states without those of filters.
     """
 
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        Cy: Array,
-        Dyw: Array | None,
-        band: Band,
-        like: Landscape | None = None,
-        through: Array | None = None,
-    ) -> None:
+    def __init__(self, plant: Plant, band: Band, like: Landscape | None = None) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
+        plant: n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
         like: landscape whose points are the same gains; None for its own scales.
-        through: feedthrough from forces to measurements, shape (q, m); zero where it is not given.
         """
-        super().__init__(plant, Cy, Dyw, through)
+        super().__init__(plant)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
         self.own = len(plant.A) - plant.weights
         if like is not None:

@@ -19,7 +19,7 @@ not believed. The number of unknowns grows with the number of errors, not with t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_throughout
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.lmi.barrier import Barrier, newton
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 NEAR = 3e-3  # relative; how far the bound lies above the best multipliers' peak
 EXACT = 1e-6  # relative: of p* D p and gamma^2 so much is left unused, for rounding
@@ -75,9 +75,9 @@ def cut_loop(gain: ScaledGain, box: Box) -> CutLoop:
     acting = gain.acting(middle)
     closing = np.linalg.inv(gain.return_difference(gain.scaled(middle)))
     into_y = half[of_y] * np.eye(q)[:, of_y]
-    u_x, u_w = acting @ gain.Cy, acting @ gain.Dyw
+    u_x, u_w = acting @ plant.Cy, acting @ plant.Dyw
     u_p = closing @ np.hstack([middle[q:, None] * K @ into_y, half[q:][of_u] * np.eye(m)[:, of_u]])
-    y_x, y_p, y_w = gain.Cy + gain.Dyu @ u_x, gain.Dyu @ u_p, gain.Dyw + gain.Dyu @ u_w
+    y_x, y_p, y_w = plant.Cy + plant.Dyu @ u_x, plant.Dyu @ u_p, plant.Dyw + plant.Dyu @ u_w
     asked_p = K @ (middle[:q, None] * y_p + np.hstack([into_y, np.zeros((q, len(of_u)))]))
     asked_x, asked_w = K @ (middle[:q, None] * y_x), K @ (middle[:q, None] * y_w)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
@@ -211,11 +211,9 @@ class MultiplierProof:
         return all(MultiplierForm(loop, part.D, part.G, self.gamma**2).negative(part.low, part.high) for part in self.parts)
 
 
-def stable_with_errors(
-    plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array, through: Array | None = None
-) -> bool:
+def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> bool:
     """Returns True if the loop is proved stable for all errors, by either proof; arguments as for `worst_norm`."""
-    gain = scaled_gain(plant, Cy, K, None, through)
+    gain = scaled_gain(replace(plant, Dyw=None), K)
     return all_stable(gain, box_of(gain, d, e))
 
 

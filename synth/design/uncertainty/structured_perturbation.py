@@ -18,7 +18,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.plant.augmented import System, append
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
@@ -103,7 +103,7 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
     return best
 
 
-def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> GeneralizedPlant | None:
+def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> Plant | None:
     """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
     M, k, E = structured.loop, structured.errors, append(*errors)
     n, e = len(M.A), len(E.A)
@@ -122,10 +122,10 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> Ge
     C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
     Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
     Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
-    return GeneralizedPlant(A, np.zeros((n + e, 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    return Plant(A, np.zeros((n + e, 0)), Bw, C, np.zeros((len(C), 0)), Dw)
 
 
-def _norm(closed: GeneralizedPlant | None, structured: StructuredLoop) -> float:
+def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
     """Returns the norm of a closed loop, infinite if it is not stable; 0, which claims nothing, if that is not known."""
     if closed is None:
         return 0.0
