@@ -21,7 +21,7 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.analysis.norm import largest_singular_values
 from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, root_below, without_factors, zeros
 from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Plant, check_continuous
@@ -192,8 +192,8 @@ def _rates(plant: Plant) -> Array:
 def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
     """Returns the part of Gw that is orthogonal to Gu at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
     try:
-        both = np.hstack([plant.Bw, plant.B]), np.hstack([plant.Dw, plant.D])
-        from_w, from_u = np.split(transfer_matrix(plant.A, both[0], plant.C, both[1], omega), [plant.Bw.shape[1]], axis=2)
+        both = plant.unchecked(Bw=np.hstack([plant.Bw, plant.B]), Dw=np.hstack([plant.Dw, plant.D]))
+        from_w, from_u = np.split(both.frequency_response(omega), [plant.Bw.shape[1]], axis=2)
     except np.linalg.LinAlgError:  # a pole, to the last digit
         return _invariant_part(plant, _off_poles(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)

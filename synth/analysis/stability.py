@@ -305,19 +305,18 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
         plant: without measurements, every state counts as measured.
         states: names of the states. Default: x1, x2, ...
     """
-    names, dt, Cy = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt, plant.Cy
-    own = own_units(plant, measured=True)
-    plant = own.into(plant.differences)
+    names, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt
+    plant = own_units(plant, measured=True).into(plant.differences)
     reasons = [
         f"the plant cannot be stabilised: no input acts on the mode at {pole_text(pole, dt)}, which does not decay and appears "
         f"most in {largest(vector, names)}; add an actuator that acts on this mode, or remove the mode from the model"
         for pole, vector in uncontrollable_modes(plant.A, plant.B, dt)
     ]
-    if len(Cy):
+    if len(plant.Cy):
         reasons += [
             f"the plant cannot be stabilised with these measurements: none of them contains the mode at {pole_text(pole, dt)}, "
             f"which does not decay and appears most in {largest(vector, names)}; measure a signal that contains this mode"
-            for pole, vector in uncontrollable_modes(plant.A.T, (Cy * own.states).T, dt)
+            for pole, vector in uncontrollable_modes(plant.A.T, plant.Cy.T, dt)
         ]
     return reasons
 

@@ -174,12 +174,10 @@ class Problem:
         left = np.abs(F - loop.C @ shift)
         if np.all(left <= RETURNS * size):
             return replace(judged, plant=replace(plant, A=plant.A + shift @ C.T, Bw=plant.Bw + shift @ D.T))
-        lasting = Plant(
+        lasting = Plant.without_inputs(
             A=np.block([[loop.A, E], [C.T, np.zeros((k, k))]]),
-            B=np.zeros((n + k, 0)),
             Bw=np.vstack([loop.Bw, D.T]),
             C=np.hstack([loop.C, F]),
-            D=np.zeros((len(F), 0)),
             Dw=loop.Dw,
         )
         shows = np.flatnonzero(np.any(left > RETURNS * size, axis=1)).tolist()

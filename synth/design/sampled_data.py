@@ -369,7 +369,7 @@ def _second(plant: Plant, R: Array, slack: bool) -> CentralPoint:
     """The second step with an R, of which C_y R = I: (25), or on from the first of its path with a slack variable."""
     units = own_units(plant, measured=True)
     basis, measured = units.rows(plant.Cy)
-    own = replace(units.into(plant), Cy=basis)
+    own = units.into(plant).measured(basis)
     Q = nullspace(basis)
     L = np.linalg.pinv(Q) @ (R @ measured / units.states[:, None])
     path = slack_path(own, output_feedback(own, L, Q, ENTERED)[-1]) if slack else output_feedback(own, L, Q)

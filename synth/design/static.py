@@ -223,10 +223,8 @@ class GainSearch:
         self.landscape = Landscape(plant, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.symmetry = alike(self.landscape)
-        self.nothing = ZERO * (
-            float(np.linalg.norm(self.landscape.Dw, 2))
-            + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
-        )
+        own = self.landscape.plant
+        self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
 
     def refined(self, two_steps: Design) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""

@@ -357,7 +357,7 @@ def two_step_design(
             return with_redundant_rows(best, kept, q, 0.0)
     fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
-    own, Q = replace(units.into(problem.plant), Cy=rows), nullspace(rows)
+    own, Q = units.into(problem.plant).measured(rows), nullspace(rows)
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
@@ -390,7 +390,7 @@ def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> Design
     problem, units = well_posed(plant), own_units(plant, measured=True)
     rows, measured = units.rows(few.Cy)
     Q = nullspace(rows)
-    points = output_feedback(replace(units.into(problem.plant), Cy=rows), np.zeros((Q.shape[1], len(kept))), Q)
+    points = output_feedback(units.into(problem.plant).measured(rows), np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
     design = replace(last_certified_gain(few, path, lower_bound), case=problem.case)
     return with_redundant_rows(design, kept, len(plant.Cy), 0.0)

@@ -59,7 +59,7 @@ class _Slack:
         own = plant.differences.closed_loop(point.K @ plant.Cy).in_coordinates(self.T)
         # Units of inputs and disturbances, in which their matrices have the size of A.
         self.input_unit = np.linalg.norm(own.A) / np.linalg.norm(own.B)
-        self.plant, rows = own.with_inputs(self.input_unit * np.eye(own.B.shape[1])), plant.Cy @ self.T
+        self.plant, rows = own.with_inputs(self.input_unit * np.eye(own.B.shape[1])), own.Cy
         # C_y X C_y' of (12) is X_R, and X C_y' X_R^-1 is R.
         self.R = rows.T @ np.linalg.inv(rows @ rows.T)
         self.Q = np.linalg.svd(rows)[2][len(rows) :].T

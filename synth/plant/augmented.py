@@ -41,12 +41,10 @@ def closed_by(plant: Plant, law: LinearLaw) -> Plant:
     n, K, Cy, Dyw = len(plant.A), law.D, plant.Cy, plant.Dyw
     A = np.zeros((n + law.states, n + law.states))
     A[:n, :n], A[:n, n:], A[n:, :n], A[n:, n:] = plant.A + plant.B @ K @ Cy, plant.B @ law.C, law.B @ Cy, law.A
-    return Plant(
+    return Plant.without_inputs(
         A=A,
-        B=np.zeros((len(A), 0)),
         Bw=np.concatenate([plant.Bw + plant.B @ K @ Dyw, law.B @ Dyw]),
         C=np.concatenate([plant.C + plant.D @ K @ Cy, plant.D @ law.C], axis=1),
-        D=np.zeros((len(plant.C), 0)),
         Dw=plant.Dw + plant.D @ K @ Dyw,
         dt=plant.dt,
     )

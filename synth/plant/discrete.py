@@ -83,7 +83,7 @@ def from_differences(loop: Plant, step: float) -> Plant:
     if not step:
         return loop
     A, Bw, C, Dw = _tustin(loop.A, loop.Bw, loop.C, loop.Dw, step)
-    return Plant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    return Plant.without_inputs(A, Bw, C, Dw)
 
 
 def true_frequency(omega: float, dt: float | None) -> float:

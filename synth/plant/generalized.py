@@ -1,7 +1,7 @@
 """The plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w; or x[k+1] = ... every dt seconds."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -49,7 +49,7 @@ class Feedback:
 class Plant:
     """A linear plant with a disturbance, a controlled output, and measurements if they are given.
 
-    A plant that is made of another has no measurements, unless its description names them.
+    A plant that is made of another keeps its measurements.
 
     Attributes:
         A: shape (n, n).
@@ -123,6 +123,17 @@ class Plant:
                 )
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
+
+    @classmethod
+    def without_inputs(cls, A: Array, Bw: Array, C: Array, Dw: Array, dt: float | None = None) -> "Plant":
+        """Returns a system from w to z alone."""
+        return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
+
+    def unchecked(self, **parts: Any) -> "Plant":
+        """Returns the plant with some other parts that fit. They are neither checked nor copied, and may be NaN."""
+        plant = object.__new__(Plant)
+        plant.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)} | parts)
+        return plant
 
     def measured(self, Cy: object = None, Dyw: object = None, Dyu: object = None) -> "Plant":
         """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check; by default with its own.
@@ -243,7 +254,7 @@ class Plant:
         if self.dt is None:
             return self
         A = (self.A - np.eye(len(self.A))) / self.dt
-        return Plant(A, self.B / self.dt, self.Bw / self.dt, self.C, self.D, self.Dw, weights=self.weights)
+        return replace(self, A=A, B=self.B / self.dt, Bw=self.Bw / self.dt, beyond=None, dt=None)
 
     def closed_loop(self, G: Array | Feedback) -> "Plant":
         """Returns the plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and the error.
@@ -261,18 +272,20 @@ class Plant:
         if shape != self.B.T.shape:
             raise InputError(f"G has shape {shape}; expected {self.B.T.shape}: a row for each input, a column for each state")
         high, beyond = fed_back(np.vstack([self.A, self.C]), np.vstack([self.B, self.D]), G, self.beyond)
-        n = len(self.A)
-        return Plant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
+        n, Cy = len(self.A), self.Cy
+        if np.any(self.Dyu):
+            Cy = Cy + self.Dyu @ (G.K @ G.Cy if isinstance(G, Feedback) else G)
+        return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
         """Returns the same plant with state T^-1 x, T regular, shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
-        return Plant(A, B, Bw, self.C @ T, self.D, self.Dw, dt=self.dt)
+        return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
 
     def with_inputs(self, W: Array) -> "Plant":
         """Returns the plant with inputs v that act as u = W v, W of shape (m, k)."""
-        return Plant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw, dt=self.dt)
+        return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
         """Returns W, shape (m, k): an orthonormal basis of the combinations of inputs that have an effect; I if all have."""
@@ -293,10 +306,10 @@ class Plant:
         Args:
             omega: angular frequencies [rad/s], shape (F,).
         """
-        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-        s = s if self.dt is None else np.exp(s * self.dt)
-        resolvent = np.linalg.solve(s * np.eye(len(self.A)) - self.A, self.Bw.astype(complex)[None])
-        return self.C @ resolvent + self.Dw
+        n, s = len(self.A), 1j * np.asarray(omega, dtype=float)[:, None]
+        shifted = np.broadcast_to(-self.A, (len(s), n, n)).astype(complex)
+        shifted[:, np.arange(n), np.arange(n)] += s if self.dt is None else np.exp(s * self.dt)
+        return self.C @ np.linalg.solve(shifted, np.broadcast_to(self.Bw.astype(complex), (len(s), *self.Bw.shape))) + self.Dw
 
 
 GeneralizedPlant = Plant  # its public name

@@ -67,7 +67,7 @@ class NormalisedPlant:
             D=own.D * (z * u),
             Dw=own.Dw * (z * w),
         )
-        rows = np.hstack([plant.Cy * units.states, plant.Dyw * w])
+        rows = np.hstack([own.Cy, own.Dyw * w])
         kept = independent(rows)
         V, S = orthonormal_rows(rows[kept])
         n = len(plant.A)

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -205,15 +205,9 @@ def are_integrators(A: Array) -> bool:
 
 def _in_units(plant: Plant, states: Array, inputs: Array) -> Plant:
     each = states[:, None]
-    return Plant(
-        plant.A * states / each,
-        plant.B * inputs / each,
-        plant.Bw / each,
-        plant.C * states,
-        plant.D * inputs,
-        plant.Dw,
-        dt=plant.dt,
-    )
+    A, B, Bw = plant.A * states / each, plant.B * inputs / each, plant.Bw / each
+    outputs = {"C": plant.C * states, "D": plant.D * inputs, "Cy": plant.Cy * states, "Dyu": plant.Dyu * inputs}
+    return replace(plant, A=A, B=B, Bw=Bw, **outputs, beyond=None, weights=0)
 
 
 def nearest_power(size: float) -> float:

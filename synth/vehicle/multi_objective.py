@@ -116,7 +116,8 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
         road.duration + max(later),
     )
     name = f"{bound.peak} over {bound.road} <= {bound.at_most:g}"
-    return RoadLoop(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
+    plant = Plant(model.A, model.B, model.Bw, C, D, np.zeros((1, model.Bw.shape[1])), Cy=Cy, Dyu=Dyu)
+    return RoadLoop(plant, model.Br, of_height, drive, name)
 
 
 def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:

@@ -73,7 +73,8 @@ def after_a_ramp(A: np.ndarray, c: list[float], until: float) -> tuple[Peak, flo
         end=end,
     )
     none, of_u = np.zeros((3, 1)), np.zeros((1, 1))
-    driven = RoadLoop(A, none, none.T, of_u, Bw, Br, np.array(c), np.zeros(1), f, drive)
+    plant = GeneralizedPlant(A, none, Bw, np.array([c]), of_u, np.zeros((1, Bw.shape[1])), Cy=none.T, Dyu=of_u)
+    driven = RoadLoop(plant, Br, f, drive)
     peak = peak_over_road(driven, of_u)
     # Of z' and z of the first wheel, which are linear on the ramp and after it.
     system = signals.StateSpace(A, np.column_stack([Bw @ wheels, Br @ wheels]), c, [[0.0, f @ wheels]])
@@ -132,7 +133,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
     driven = goal_problem(vehicle, entry, entry.goals).members[0].driven_by[0]
     K = np.array([[10824.0, -2071.0]])
     peak, (A, c) = peak_over_road(driven, K), driven.loop(K)
-    E, highest, x = A @ driven.Bw + driven.Br, 0.0, np.zeros(4)
+    E, highest, x = A @ driven.plant.Bw + driven.Br, 0.0, np.zeros(4)
     edges = [0.0, *driven.drive.kinks, driven.drive.end + 2.0]
     for start, end in itertools.pairwise(np.unique(edges)):
         found = solve_ivp(
@@ -146,7 +147,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
             max_step=(end - start) / 50,
         )
         t = np.linspace(start, end, 20001)
-        y = found.sol(t).T @ c + driven.drive.heights(t) @ (c @ driven.Bw + driven.f)
+        y = found.sol(t).T @ c + driven.drive.heights(t) @ (c @ driven.plant.Bw + driven.f)
         highest, x = max(highest, np.abs(y).max()), found.y[:, -1]
     assert highest <= peak.proved
     assert peak.value == pytest.approx(highest, rel=2e-5)  # what a slope without end leaves of the integration's digits

@@ -30,11 +30,9 @@ class Symmetry:
 
     def __init__(self, landscape: Landscape) -> None:
         self.landscape = landscape
-        A, B, Cy, C, Bw = (
-            matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
-        )
+        plant = landscape.plant
+        A, B, Cy, C, Bw, Dyw = (each / size(each) for each in (plant.A, plant.B, plant.Cy, plant.C, plant.Bw, plant.Dyw))
         n, m = B.shape
-        Dyw = landscape.Dyw / size(landscape.Dyw)
         into, out = (np.eye(n), np.eye(n)) if n <= SMALL else (_silent(A, C), _silent(A.T, Bw.T))
         # T = into M out', and S follows from T.
         shape, blind = (into.shape[1], out.shape[1]), linalg.null_space(Cy)

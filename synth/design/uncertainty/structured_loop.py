@@ -15,7 +15,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.analysis.norm import transfer_matrix
 from synth.plant.augmented import System, append, closed_by, gain, with_weights
 from synth.plant.generalized import Plant
 
@@ -49,7 +48,7 @@ class StructuredLoop:
 
     def at(self, omega: Array) -> Array:
         """Returns M(j omega), complex, shape (F, d + k, r + k), for finite frequencies [rad/s] of shape (F,)."""
-        return transfer_matrix(self.loop.A, self.loop.Bw, self.loop.C, self.loop.Dw, omega)
+        return self.loop.frequency_response(omega)
 
     def scaled(self, scales: Array) -> Plant:
         """Returns D M D^-1, where D scales each q, and D^-1 each p, by positive scales of shape (k,)."""

@@ -106,7 +106,6 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
 def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> Plant | None:
     """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
     M, k, E = structured.loop, structured.errors, append(*errors)
-    n, e = len(M.A), len(E.A)
     into, out = M.Bw[:, -k:], M.C[-k:]
     inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
     if np.linalg.cond(inside) > 1e12:
@@ -122,7 +121,7 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> Pl
     C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
     Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
     Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
-    return Plant(A, np.zeros((n + e, 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    return Plant.without_inputs(A, Bw, C, Dw)
 
 
 def _norm(closed: Plant | None, structured: StructuredLoop) -> float:

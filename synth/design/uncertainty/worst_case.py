@@ -153,7 +153,7 @@ def norm_at(gain: ScaledGain, factors: Array) -> float:
         A, Bw, C, Dw = gain.loops(factors)
     except np.linalg.LinAlgError:
         return np.inf
-    return hinf_norm(Plant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)).value
+    return hinf_norm(Plant.without_inputs(A, Bw, C, Dw)).value
 
 
 FASTER = 8.0  # how much weight t gains from one centre to the next
@@ -324,7 +324,7 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
     if not norm < level or not gain.well_posed(box):
         return None
     A, Bw, C, Dw = gain.loops(box.middle)
-    loop = Plant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    loop = Plant.without_inputs(A, Bw, C, Dw)
     try:
         start = bounding_x(loop, level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
         X = common_x(gain, box, start, eta)
