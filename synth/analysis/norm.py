@@ -25,7 +25,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import transfer_matrix_closely
+from synth.plant.discrete import LEFT, MOST_TURNS, continuous_loop, mapped_frequency, response_closely, true_frequency
+from synth.plant.double_double import added, multiplied, product
 from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
@@ -64,6 +65,48 @@ def _smaller_square(T: Array) -> Array:
     """Returns T T' or T' T, the smaller one."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
+
+
+def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
+    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
+
+    The residual of the linear system is computed with twice the digits and solved for again, until the answer converges
+    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). It fails if A leaves floats no digit at all.
+
+    Args:
+        system: system from w to z, whose `beyond` counts.
+        omega: angular frequencies [rad/s], shape (F,).
+
+    Returns:
+        T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
+    """
+    (n, r), Bw, A, C = system.Bw.shape, system.Bw, system.A, system.C
+    beyond = np.zeros((n + len(C), n)) if system.beyond is None else system.beyond
+    A_low, C_low = beyond[:n], beyond[n:]
+    turned = omega[:, None, None]
+    shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
+    high, low = np.zeros((2, len(omega), n, 2 * r))  # real parts beside imaginary ones
+    T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
+    for _ in range(MOST_TURNS):
+        by, into = multiplied(turned, _times_j(high)), product(A, high)
+        change, lost = added(into[0], -by[0])
+        residual, rest = added(right, change)
+        residual += rest + lost + into[1] - by[1] + A @ low + A_low @ high - turned * _times_j(low)
+        step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
+        high, lost = added(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
+        high, low = added(high, low + lost)
+        out, lost = product(C, high)
+        out = out + lost + C @ low + C_low @ high
+        before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
+        moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
+        if np.all(moved <= LEFT * np.abs(T).max(axis=(1, 2), initial=0.0)):
+            break
+    return T, moved
+
+
+def _times_j(x: Array) -> Array:
+    r = x.shape[-1] // 2
+    return np.concatenate([-x[..., r:], x[..., :r]], axis=-1)
 
 
 class Gain:
@@ -252,8 +295,6 @@ def hinf_norm(system: Plant) -> Norm:
     """
     unstable = Norm(np.inf, np.nan, np.inf, np.inf)
     if system.dt is not None:
-        from synth.plant.discrete import continuous_loop
-
         stable = stability(system.A, system.dt).stable
         return discrete_by_both_routes(system, system.dt, Gain(continuous_loop(system))) if stable else unstable
     gain = Gain(system)
@@ -281,8 +322,6 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
     They run on its bilinear image, which only proposes frequencies. The gain there is that of the discrete system.
     """
-    from synth.plant.discrete import response_closely, true_frequency
-
     norms = []
     for route in (by_level_sets, by_sweep):
         value, at = route(gain)
@@ -297,8 +336,6 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 def gain_at(system: Plant, omega: float) -> float:
     """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
-        from synth.plant.discrete import mapped_frequency, response_closely
-
         return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
     return float(Gain(system).closely(np.array([omega]))[0][0])
 

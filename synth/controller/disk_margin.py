@@ -11,7 +11,7 @@ import numpy as np
 
 from synth.analysis.norm import hinf_norm
 from synth.controller.loop_transfer import LoopTransfer
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def disk_margin(loop: LoopTransfer) -> DiskMargin:
     inverse, half = np.linalg.inv(np.eye(len(loop.H)) - loop.H), np.eye(len(loop.H)) / 2
     n, k = loop.B.shape
     # x' = A x + B u, u = v + d, and z = u - d / 2.
-    sensitivity = GeneralizedPlant(
+    sensitivity = Plant(
         A=loop.closed(1.0),
         B=np.zeros((n, 1)),
         Bw=loop.B @ inverse,

@@ -257,6 +257,7 @@ class NormalisedSystem:
                 C=plant.C * output,
                 D=plant.D * output * self.force,
                 Dw=plant.Dw * self.gain,
+                Cy=plant.Cy,
             )
             for plant in turned
         ]

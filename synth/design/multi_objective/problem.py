@@ -53,6 +53,12 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
 
     Raises:
         InputError: a matrix does not fit the plant.
+
+    Example:
+        >>> from synth import GeneralizedPlant, MeasuredPlant
+        >>> plant = GeneralizedPlant(A=[[0, 1], [-4, -1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0]], D=[[0]], Dw=[[0]])
+        >>> MeasuredPlant(plant, Cy=[[0, 1]]).Dyw.shape
+        (1, 1)
     """
     return replace(plant, Cy=Cy, Dyw=Dyw, Dyu=through)
 
