@@ -100,8 +100,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
         return None
-    posed = designer.problem(controller.measured, controller.hardware)
-    _, few, kept = independently_measured(shared.plant.measured(posed.plant.Cy))
+    posed = designer.problem(controller.measured, controller.hardware).plant
+    _, few, kept = independently_measured(shared.plant.measured(posed.Cy))
     units = own_units(few, measured=True)
     rows, measured = units.rows(few.Cy)
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]

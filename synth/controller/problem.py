@@ -31,7 +31,7 @@ from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm
 from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.augmented import System, append, gain, with_weights
+from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import Feedback, Plant
 
 if TYPE_CHECKING:
@@ -372,8 +372,8 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
         )
 
 
-def _system(one: "Filter | None") -> System:
-    return gain(1.0) if one is None else System(*one.remainder)
+def _system(one: "Filter | None") -> Plant:
+    return gain(1.0) if one is None else Plant.without_inputs(*one.remainder)
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:

@@ -320,8 +320,7 @@ def two_step_design(
 
     Args:
         plant: n states, m inputs.
-        Cy: measurements y = C_y x, shape (q, n), without noise; the plant's own if it is not given. Rows that depend on others
-            are omitted and listed in the result.
+        Cy: measurements y = C_y x, shape (q, n); the plant's own by default. The result lists rows that depend on others.
         path: the central path of (22); computed if empty.
         lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
@@ -397,11 +396,7 @@ def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> Design
 
 
 def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
-    """Returns a plant with inputs that measures y = C_y x alone, the same with independent rows, and the indices of these rows.
-
-    Raises:
-        InputError: the plant has no input, or an error of `Plant.measured`.
-    """
+    """Returns a plant that measures y = C_y x alone, the same with independent rows, and the indices of these rows."""
     check_inputs(plant)
     plant = plant.measured(plant.Cy)
     kept = independent_rows(plant)

@@ -9,19 +9,16 @@ of Bw and Dw of the larger plant.
 
 A design handles weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's. In series
 with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
-actuator.
+actuator. A filter is a `Plant` without inputs, from w to z.
 
-    System            x' = A x + B v, e = C x + D v, for any v and e
     transfer_function system of a ratio of polynomials in s
     series, append    systems in series, systems in parallel with separate signals
-    generalized       a system from [w; u] to [z; y] as a plant and its measurements
     with_weights      a plant between the filter of its w and that of its z
 
 (Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,47 +47,13 @@ def closed_by(plant: Plant, law: LinearLaw) -> Plant:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """A linear system x' = A x + B v, e = C x + D v.
-
-    Attributes:
-        A: shape (n, n); n may be 0.
-        B: shape (n, k).
-        C: shape (p, n).
-        D: shape (p, k).
-
-    Raises:
-        InputError: a matrix is not one of real finite numbers, or does not fit the others.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-
-    def __post_init__(self) -> None:
-        for name in ("A", "B", "C", "D"):
-            object.__setattr__(self, name, real_matrix(getattr(self, name), name, "of a system"))
-        (n, (p, k)) = len(self.A), self.D.shape
-        for name, expected in (("A", (n, n)), ("B", (n, k)), ("C", (p, n))):
-            shape = getattr(self, name).shape
-            if shape != expected:
-                raise InputError(f"{name} has shape {shape}; expected {expected}, as A has {n} rows and D is {p} by {k}")
-
-    def __getitem__(self, part: tuple[Sequence[int] | slice, Sequence[int] | slice]) -> "System":
-        """The system from some inputs to some outputs: system[outputs, inputs], by index."""
-        rows, columns = part
-        return System(self.A, self.B[:, columns], self.C[rows], self.D[rows][:, columns])
-
-
-def gain(D: object) -> System:
+def gain(D: object) -> Plant:
     """Returns a system without states, e = D v; a number D counts as a matrix of shape (1, 1)."""
     matrix = np.atleast_2d(np.asarray(D, dtype=float))
-    return System(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
+    return Plant.without_inputs(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
 
 
-def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> System:
+def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> Plant:
     """Returns the filter of one signal with a ratio of polynomials in s.
 
     Args:
@@ -114,54 +77,34 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         return gain(above[0] / below[0] if len(above) else 0.0)
     from scipy.signal import tf2ss  # half a second
 
-    return System(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+    return Plant.without_inputs(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
 
 
-def series(first: System, second: System) -> System:
-    """The second system fed by the first: e = second(first(v)).
+def series(first: Plant, second: Plant) -> Plant:
+    """Returns the second system fed by the first.
 
     Raises:
         InputError: the first has not as many outputs as the second has inputs.
     """
-    if len(first.D) != second.D.shape[1]:
+    if len(first.C) != second.Bw.shape[1]:
         raise InputError(
-            f"a system with {len(first.D)} outputs cannot feed one with {second.D.shape[1]} inputs; give equal numbers"
+            f"a system with {len(first.C)} outputs cannot feed one with {second.Bw.shape[1]} inputs; give equal numbers"
         )
     n, k = len(first.A), len(second.A)
-    return System(
-        A=np.block([[first.A, np.zeros((n, k))], [second.B @ first.C, second.A]]),
-        B=np.vstack([first.B, second.B @ first.D]),
-        C=np.hstack([second.D @ first.C, second.C]),
-        D=second.D @ first.D,
+    return Plant.without_inputs(
+        A=np.block([[first.A, np.zeros((n, k))], [second.Bw @ first.C, second.A]]),
+        Bw=np.vstack([first.Bw, second.Bw @ first.Dw]),
+        C=np.hstack([second.Dw @ first.C, second.C]),
+        Dw=second.Dw @ first.Dw,
     )
 
 
-def append(*systems: System) -> System:
-    """Systems beside each other: the inputs of all, and the outputs of all, in their order."""
-    A, B, C, D = ([getattr(system, name) for system in systems] for name in "ABCD")
-    return System(*(_diagonal(parts) for parts in (A, B, C, D)))
+def append(*systems: Plant) -> Plant:
+    """Returns systems in parallel: the inputs of all, and the outputs of all, in their order."""
+    return Plant.without_inputs(*(_diagonal([getattr(one, name) for one in systems]) for name in ("A", "Bw", "C", "Dw")))
 
 
-def generalized(system: System, disturbances: int, controlled: int) -> Plant:
-    """Returns a system from [w; u] to [z; y] as a plant.
-
-    Args:
-        disturbances: r, how many of its inputs are w; they come first.
-        controlled: d, how many of its outputs are z; they come first.
-
-    Raises:
-        InputError: u goes straight through to y.
-    """
-    r, d = disturbances, controlled
-    if np.any(system.D[d:, r:]):
-        raise InputError(
-            "the force changes a measured signal instantly; give the actuator a lag, or measure signals that do not jump with it"
-        )
-    A, B, C, D = system.A, system.B, system.C, system.D
-    return Plant(A, B[:, r:], B[:, :r], C[:d], D[:d, r:], D[:d, :r], Cy=C[d:], Dyw=D[d:, :r])
-
-
-def with_weights(plant: Plant, outputs: System, disturbances: System, beside: Array | None = None) -> Plant:
+def with_weights(plant: Plant, outputs: Plant, disturbances: Plant, beside: Array | None = None) -> Plant:
     """Returns the plant with one system behind its z and another before its w.
 
     Its states come first, then those of z, then those of w. It keeps its measurements, which contain the filtered w.
@@ -179,19 +122,19 @@ def with_weights(plant: Plant, outputs: System, disturbances: System, beside: Ar
         A=np.block(
             [
                 [plant.A, np.zeros((n, k)), plant.Bw @ w.C],
-                [z.B @ plant.C, z.A, z.B @ through],
+                [z.Bw @ plant.C, z.A, z.Bw @ through],
                 [np.zeros((j, n + k)), w.A],
             ]
         ),
-        B=np.vstack([plant.B, z.B @ plant.D, np.zeros((j, plant.B.shape[1]))]),
-        Bw=np.vstack([plant.Bw @ w.D, z.B @ plant.Dw @ w.D, w.B]),
-        C=np.hstack([z.D @ plant.C, z.C, z.D @ through]),
-        D=z.D @ plant.D,
-        Dw=z.D @ plant.Dw @ w.D,
+        B=np.vstack([plant.B, z.Bw @ plant.D, np.zeros((j, plant.B.shape[1]))]),
+        Bw=np.vstack([plant.Bw @ w.Dw, z.Bw @ plant.Dw @ w.Dw, w.Bw]),
+        C=np.hstack([z.Dw @ plant.C, z.C, z.Dw @ through]),
+        D=z.Dw @ plant.D,
+        Dw=z.Dw @ plant.Dw @ w.Dw,
         weights=k + j,
         Cy=np.hstack([plant.Cy, np.zeros((len(plant.Cy), k)), plant.Dyw @ w.C]),
         Dyu=plant.Dyu,
-        Dyw=plant.Dyw @ w.D,
+        Dyw=plant.Dyw @ w.Dw,
     )
 
 

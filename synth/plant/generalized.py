@@ -148,7 +148,10 @@ class Plant:
                 one that is next to zero in all.
         """
         check_states(len(self.A))
-        plant = self if Cy is None else replace(self, Cy=Cy, Dyw=Dyw, Dyu=Dyu)
+        changed: dict[str, Any] = {"Cy": Cy, "Dyw": Dyw, "Dyu": Dyu}
+        if Cy is None:
+            changed = {name: each for name, each in changed.items() if each is not None}
+        plant = replace(self, **changed) if changed else self
         if not len(plant.Cy):
             raise InputError("Cy has no rows: nothing is measured; give at least one signal")
         parts = {"Cy": "state", "Dyw": "disturbance", "Dyu": "force"}

@@ -201,14 +201,8 @@ def remark_5(designer: Designer) -> list[Way]:
             return value if np.isfinite(value) else UNSTABLE + norms.abscissa(point)[0]
 
         begin = time.process_time()
-        search = differential_evolution(
-            norm,
-            [(-BOX, BOX)] * len(Cy),
-            (Landscape(plant.measured(Cy)),),
-            rng=np.random.default_rng(SEED),
-            tol=TOLERANCE,
-            polish=False,
-        )
+        box, given, rng = [(-BOX, BOX)] * len(Cy), (Landscape(plant.measured(Cy)),), np.random.default_rng(SEED)
+        search = differential_evolution(norm, box, given, rng=rng, tol=TOLERANCE, polish=False)
         seconds = time.process_time() - begin
         value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by both routes; one is enough to search by
         ways.append(Way(name, "genetic", search.x[None], value, f"{search.nfev} norms", seconds))

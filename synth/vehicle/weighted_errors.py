@@ -30,7 +30,6 @@ from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
-from synth.plant.augmented import System
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
@@ -124,8 +123,8 @@ def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedE
     return plant_with_errors(posed.plant, of_errors, systems)
 
 
-def _systems(weights: list[Filter | None]) -> list[System | None]:
-    return [None if one is None else System(*one.realisation) for one in weights]
+def _systems(weights: list[Filter | None]) -> list[Plant | None]:
+    return [None if one is None else Plant.without_inputs(*one.realisation) for one in weights]
 
 
 def _of_added_force(

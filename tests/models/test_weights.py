@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.plant.augmented import System, append, gain, generalized, series, transfer_function
+from synth.plant.augmented import append, gain, series, transfer_function
+from synth.plant.generalized import Plant
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 200.0])
 
 
-def response(system: System) -> np.ndarray:
-    """C (j omega - A)^-1 B + D, shape (F, p, k)."""
+def response(system: Plant) -> np.ndarray:
+    """C (j omega - A)^-1 Bw + Dw, shape (F, p, k)."""
     s = 1j * OMEGA[:, None, None] * np.eye(len(system.A))
-    return system.C @ np.linalg.solve(s - system.A, system.B.astype(complex)[None]) + system.D
+    return system.C @ np.linalg.solve(s - system.A, system.Bw.astype(complex)[None]) + system.Dw
 
 
-def random_system(seed: int, p: int, k: int) -> System:
+def random_system(seed: int, p: int, k: int) -> Plant:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
-    return System(*(rng.standard_normal(shape) for shape in ((n, n), (n, k), (p, n), (p, k))))
+    return Plant.without_inputs(*(rng.standard_normal(shape) for shape in ((n, n), (n, k), (p, n), (p, k))))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,7 @@ def test_transfer_function(above, below):
 
 
 def test_one_after_the_other_and_beside():
-    """Series multiplies responses, append puts them on a diagonal, an index picks outputs and inputs; parts may have no state."""
+    """Series multiplies responses, append puts them on a diagonal; parts may have no state."""
     one, other, D = random_system(0, 2, 3), random_system(1, 4, 2), np.array([[1.0, -2.0]])
     np.testing.assert_allclose(response(series(one, other)), response(other) @ response(one), rtol=1e-12)
     np.testing.assert_allclose(response(series(one, gain(D))), D @ response(one), rtol=1e-12)
@@ -43,20 +44,6 @@ def test_one_after_the_other_and_beside():
     np.testing.assert_allclose(both[:, 3:, 5:], response(other), rtol=1e-12)
     assert not both[:, :2, 3:].any()
     assert not both[:, 2:, :3].any()
-    np.testing.assert_allclose(response(one[[1], [2, 0]]), response(one)[:, [1]][:, :, [2, 0]], rtol=1e-12)
-
-
-def test_generalized():
-    """A system from [w; u] to [z; y] as a plant with its measurements is the same system."""
-    system = random_system(2, 5, 3)
-    D = system.D.copy()
-    D[3:, 2:] = 0
-    system = System(system.A, system.B, system.C, D)
-    plant = generalized(system, 2, 3)
-    Cy, Dyw = plant.Cy, plant.Dyw
-    np.testing.assert_allclose(plant.frequency_response(OMEGA), response(system)[:, :3, :2], rtol=1e-12)
-    np.testing.assert_allclose(response(System(plant.A, plant.Bw, Cy, Dyw)), response(system)[:, 3:, :2], rtol=1e-12)
-    np.testing.assert_allclose(response(System(plant.A, plant.B, Cy, np.zeros((2, 1)))), response(system)[:, 3:, 2:], rtol=1e-12)
 
 
 def test_refused():
@@ -69,7 +56,3 @@ def test_refused():
         transfer_function([np.inf], [1])
     with pytest.raises(InputError, match="with 2 outputs cannot feed one with 1 inputs"):
         series(gain(np.eye(2)), gain(1))
-    with pytest.raises(InputError, match=r"B has shape \(1, 1\); expected \(1, 2\)"):
-        System(np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 2)))
-    with pytest.raises(InputError, match="changes a measured signal instantly"):
-        generalized(gain(np.eye(2)), 1, 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
-from synth.plant.augmented import System, append, gain, series, transfer_function, with_weights
+from synth.plant.augmented import append, gain, series, transfer_function, with_weights
 from synth.plant.generalized import Plant
 
 ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
@@ -28,7 +28,7 @@ def in_band(plant: Plant, band: Band) -> Plant:
     return with_weights(plant, gain(np.eye(len(plant.C))), before)
 
 
-def band_filter(band: Band) -> System:
+def band_filter(band: Band) -> Plant:
     """Returns an elliptic filter with a gain from one to `RIPPLE` above in the band [rad/s], and below `BESIDE` outside."""
     from scipy import signal  # half a second
 

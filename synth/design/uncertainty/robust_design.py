@@ -16,7 +16,7 @@ from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant
-from synth.plant.augmented import System, append, gain, with_weights
+from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
@@ -74,7 +74,7 @@ def robust_design(
     return best
 
 
-def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System]]) -> Plant:
+def scaled_plant(structured: StructuredPlant, filters: list[tuple[Plant, Plant]]) -> Plant:
     """Returns the plant between scales of its errors.
 
     Args:
@@ -86,7 +86,7 @@ def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System
     return with_weights(plant, outputs, inputs)
 
 
-def scaling_filters(loop: StructuredLoop) -> list[tuple[System, System]]:
+def scaling_filters(loop: StructuredLoop) -> list[tuple[Plant, Plant]]:
     """Returns, for each error, a first-order filter that follows its best scale over frequency, and the filter's inverse."""
     k, grid, units = loop.errors, loop.grid, loop.units
     M = loop.at(grid)
@@ -100,7 +100,7 @@ def scaling_filters(loop: StructuredLoop) -> list[tuple[System, System]]:
     return [_first_order(grid, scales[:, i] + np.log(units[i]), weight) for i in range(k)]
 
 
-def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[System, System]:
+def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[Plant, Plant]:
     """Returns g (s + a) / (s + b) whose magnitude follows a curve, and its inverse."""
     low, high = np.log(grid[[0, -1]])
 
@@ -120,7 +120,7 @@ def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[System,
     return _system(g, a, b), _system(1 / g, b, a)
 
 
-def _system(g: float, a: float, b: float) -> System:
+def _system(g: float, a: float, b: float) -> Plant:
     """Returns g (s + a) / (s + b)."""
     size = np.sqrt(abs(a - b))
-    return System(np.array([[-b]]), np.array([[size]]), np.array([[g * np.sign(a - b) * size]]), np.array([[g]]))
+    return Plant.without_inputs(np.array([[-b]]), np.array([[size]]), np.array([[g * np.sign(a - b) * size]]), np.array([[g]]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.plant.augmented import System, append, closed_by, gain, with_weights
+from synth.plant.augmented import append, closed_by, gain, with_weights
 from synth.plant.generalized import Plant
 
 ROUNDS = 50  # of balancing; each halves the distance, in logarithms
@@ -111,7 +111,7 @@ class StructuredPlant:
 def plant_with_errors(
     plant: Plant,
     of_errors: tuple[Array, Array],
-    weights: tuple[Sequence[System | None], Sequence[System | None]],
+    weights: tuple[Sequence[Plant | None], Sequence[Plant | None]],
 ) -> StructuredPlant:
     """Returns a plant with weighted errors of its forces and readings.
 

@@ -17,7 +17,7 @@ from models.common.arrays import Array
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.uncertainty.structured_loop import StructuredLoop
-from synth.plant.augmented import System, append
+from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
@@ -44,7 +44,7 @@ class WorstErrors:
 
     mu: float
     frequency: float
-    errors: tuple[System, ...]
+    errors: tuple[Plant, ...]
 
 
 def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
@@ -103,23 +103,23 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
     return best
 
 
-def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> Plant | None:
+def closed_by_errors(structured: StructuredLoop, errors: Sequence[Plant]) -> Plant | None:
     """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
     M, k, E = structured.loop, structured.errors, append(*errors)
     into, out = M.Bw[:, -k:], M.C[-k:]
-    inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
+    inside = np.eye(k) - E.Dw @ M.Dw[-k:, -k:]
     if np.linalg.cond(inside) > 1e12:
         return None
     # p = C_e x_e + D_e q, q = C_q x + D_qw w + D_qp p.
     at_once = np.linalg.inv(inside)
     rows = slice(None, -k) if structured.performance else slice(None)
-    p_x, p_e = at_once @ E.D @ out, at_once @ E.C
+    p_x, p_e = at_once @ E.Dw @ out, at_once @ E.C
     w_in = M.Dw[-k:, rows]
-    p_w = at_once @ E.D @ w_in
+    p_w = at_once @ E.Dw @ w_in
     q_x, q_e, q_w = out + M.Dw[-k:, -k:] @ p_x, M.Dw[-k:, -k:] @ p_e, w_in + M.Dw[-k:, -k:] @ p_w
-    A = np.block([[M.A + into @ p_x, into @ p_e], [E.B @ q_x, E.A + E.B @ q_e]])
+    A = np.block([[M.A + into @ p_x, into @ p_e], [E.Bw @ q_x, E.A + E.Bw @ q_e]])
     C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
-    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
+    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.Bw @ q_w])
     Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
     return Plant.without_inputs(A, Bw, C, Dw)
 
@@ -156,12 +156,12 @@ def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a:
     return float(abs(largest)), np.array(firsts[-errors:])
 
 
-def _all_pass(amount: float, angle: float, omega: float) -> System:
+def _all_pass(amount: float, angle: float, omega: float) -> Plant:
     """Returns a stable error of a constant gain that has a phase [rad] at a frequency."""
     sign = 1.0 if angle >= 0 else -1.0
     phase = angle if angle >= 0 else angle + np.pi  # of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
     if min(phase, np.pi - phase) < 1e-12:
         constant = sign * (1.0 if phase < np.pi / 2 else -1.0)
-        return System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))
+        return Plant.without_inputs(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))
     c = omega * np.tan(phase / 2)
-    return System(np.array([[-c]]), np.array([[c]]), np.array([[-2 * sign * amount]]), np.array([[sign * amount]]))
+    return Plant.without_inputs(np.array([[-c]]), np.array([[c]]), np.array([[-2 * sign * amount]]), np.array([[sign * amount]]))
