@@ -99,7 +99,7 @@ def ours(designer: Designer) -> dict[str, Array | float]:
     values: dict[str, Array | float] = {"G_s": step.K, "X_s": step.X, "gamma_Gs": step.gamma}
     for name in ("I", "II"):
         L = l_matrix(step.X, CY[name], Q[name])
-        point = output_feedback(designer.plant, CY[name], L, Q[name])[-1]
+        point = output_feedback(designer.plant.measured(CY[name]), L, Q[name])[-1]
         values |= {f"L_{name}": L, f"R_{name}": r_matrix(CY[name], Q[name], L), f"K_{name}": point.K}
         values[f"G_{name}"] = point.K @ CY[name]
         values[f"gamma_G{name}"] = certify(designer.plant, point.K @ CY[name]).norm.value
