@@ -269,7 +269,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: L
     return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: LowerBound | None) -> Design:
+def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
     """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
 
     Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
