@@ -17,7 +17,7 @@ from sim.response.response import Response
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
 from sim.studies.frequency.worst_case_gain import SETTLED, whole_periods
-from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, radius
@@ -107,6 +107,6 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
     if at >= SLOW[0]:
         return at
     loop = controller.loop(vehicle)
-    gains = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, SLOW))
+    gains = largest_singular_values(loop.frequency_response(SLOW))
     near = SLOW[gains >= norm * (1 - NEXT)]
     return float(near[-1]) if len(near) else math.nan

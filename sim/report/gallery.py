@@ -15,7 +15,7 @@ from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of
 from sim.studies.gallery.report import Result, describe, summary
-from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.analysis.norm import largest_singular_values
 
 POINTS, MARKS = 800, 25  # points of a drawn line, and of MuJoCo's markers, about
 BAND = 30.0  # of a frequency response to both sides of the printed frequency, as a factor
@@ -71,7 +71,7 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
         return Panel(name, "frequency [Hz]", "ratio [-]", (_line(hertz, gain), printed), xlog=True, ylog=True)
     if one.what == "norm":
         loop, hertz = linear_of(designer, one).loop(designer.vehicle), np.geomspace(LOW, HIGH, ABOUT)
-        gain = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, 2 * np.pi * hertz))
+        gain = largest_singular_values(loop.frequency_response(2 * np.pi * hertz))
         curves = _line(hertz, gain), _level(hertz, one.value)
         return Panel(f"{one.text}: largest singular value", "frequency [Hz]", "gain [-]", curves, xlog=True, ylog=True)
     return None

@@ -20,7 +20,7 @@ from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_b
 from synth.analysis.specification import FREQUENCY
 from synth.analysis.stability import Stability, stability
 from synth.plant.discrete import continuous_loop, mapped_frequency, true_frequency
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 
 
@@ -59,7 +59,7 @@ class BandNorm:
 
 
 @numerics()
-def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
+def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
     """Returns the largest gain from w to z with u = 0 at any frequency from low to high.
 
     Args:
@@ -103,7 +103,7 @@ def check_band(low: float, high: float) -> None:
         )
 
 
-def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
+def _gain(loop: Plant, low: float, high: float) -> Gain:
     check_band(low, high)
     if loop.dt is None:
         return Gain(loop, low, high)

@@ -7,11 +7,12 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate, LmiProof, certify, eta_of, prove_bound
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import balance
 from synth.plant.discrete import continuous_loop
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 from synth.plant.units import size
 
@@ -28,10 +29,10 @@ UNOBSERVABLE = 1e-14  # relative to the largest: a smaller observability is roun
 
 @numerics()
 def certify_tightly(
-    plant: GeneralizedPlant,
+    plant: Plant,
     G: Array | Feedback,
     lower_bound: LowerBound | None = None,
-    by_itself: GeneralizedPlant | None = None,
+    by_itself: Plant | None = None,
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
 
@@ -66,6 +67,11 @@ def certify_tightly(
     return plain
 
 
+def certify_law(plant: Plant, law: LinearLaw, lower_bound: LowerBound | None = None) -> Certificate:
+    """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
+    return certify_tightly(*plant.with_law(law), lower_bound, by_itself=plant)
+
+
 def roomy_proof(certificate: Certificate) -> LmiProof | None:
     """Returns a proof that plain floats can check: that of a certificate, or one of a bound 0.01 % above the norm.
 
@@ -94,7 +100,7 @@ def _is_roomy(proof: LmiProof) -> bool:
     return proof.negative.smallest > ROOMY * proof.negative.rounding
 
 
-def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
+def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a

@@ -14,7 +14,7 @@ For a discrete closed loop it is
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
 which is not affine in a gain. A design therefore uses a larger matrix, of which this one is the Schur complement. With the plant
-in differences over a step T (`GeneralizedPlant.differences`) and X T instead of X, it is the continuous matrix, bordered:
+in differences over a step T (`Plant.differences`) and X T instead of X, it is the continuous matrix, bordered:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
@@ -42,12 +42,12 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
 from synth.analysis.stability import Stability, balance, beside_weights, stability
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_states
+from synth.plant.generalized import Feedback, Plant, check_states
 from synth.plant.numerics import numerics
 from synth.plant.units import speed
 
 
-def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
+def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
     """Returns the left side of (21), shape (n + d, n + d); n more if a step is given. With Y = 0 it is (20) for the plant.
 
     Args:
@@ -67,7 +67,7 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float,
     return np.block([[F, border], [border.T, -X]])
 
 
-def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> Array:
+def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> Array:
     """Returns the left side of (20), or its discrete form, for the loop A + B G, C + D G: exact, then each entry rounded once.
 
     Args:
@@ -181,7 +181,7 @@ class Certificate(Shown):
 
     given_as = "a certificate, such as synth.certify returns"
 
-    loop: GeneralizedPlant
+    loop: Plant
     stability: Stability
     own: Stability
     norm: Norm
@@ -306,12 +306,12 @@ class Certificate(Shown):
 
 @numerics()
 def certify(
-    plant: GeneralizedPlant,
+    plant: Plant,
     G: Array | Feedback,
     X: Array | None = None,
     eta: float | None = None,
     lower_bound: LowerBound | None = None,
-    by_itself: GeneralizedPlant | None = None,
+    by_itself: Plant | None = None,
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
 
@@ -358,7 +358,7 @@ def certify(
     )
 
 
-def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
+def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
     """Checks if X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
     The matrix of (20), see `certificate.py`, is computed from the given numbers without rounding.
@@ -400,7 +400,7 @@ def bound_of(eta: float) -> float:
     return bound
 
 
-def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
+def _norm_rounding(loop: Plant, at: float) -> float:
     """Returns the gain that rounding alone can give a zero transfer function, at 0 and at a frequency [rad/s]."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])

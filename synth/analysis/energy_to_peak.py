@@ -20,7 +20,7 @@ from models.common.errors import InputError
 from synth.analysis.certificate import LmiProof, prove_bound
 from synth.analysis.rigorous import definiteness, floats, integers, product, root_above
 from synth.analysis.stability import balance, stability
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, real_matrix
+from synth.plant.generalized import Feedback, Plant, check_continuous, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
 ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)  # added to X, as a share of the disturbance's power, so that the inequality is strict
@@ -47,7 +47,7 @@ class EnergyPeaks:
 
 
 @numerics()
-def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Array) -> EnergyPeaks:
+def energy_peaks(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array) -> EnergyPeaks:
     """Returns the energy-to-peak norms of s = (C_s + D_s G) x in the loop A + B G, with a proof.
 
     Args:
@@ -84,7 +84,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
     )
 
 
-def signals(plant: GeneralizedPlant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
+def signals(plant: Plant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
     """Returns C_s and D_s after checking their shapes (p, n) and (p, m).
 
     Raises:
@@ -104,7 +104,7 @@ def _gramian(A: Array, noise: Array) -> Array:
     return (P + P.T) / 2
 
 
-def _bounds(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -> tuple[Array, float]:
+def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -> tuple[Array, float]:
     """Returns each (c X c')^1/2, rounded upwards, and a proved bound on the root of the largest eigenvalue of C X C'."""
     K, Cy = (G.K, G.Cy) if isinstance(G, Feedback) else (G, np.eye(len(plant.A)))
     (states, unit), (through, over), (gain, per), (rows, under), (unknown, one) = (integers(each) for each in (Cs, Ds, K, Cy, X))

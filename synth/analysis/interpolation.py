@@ -35,7 +35,7 @@ from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at, limit_at_infinity
 from synth.analysis.rigorous import radius_of_solution
 from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near, transposed
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STEPS = 3  # of Newton's method from the given approximation of a zero
@@ -67,19 +67,15 @@ class Node(NamedTuple):
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
 def zero_limit(
-    plant: GeneralizedPlant,
-    Cy: Array | None = None,
-    inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
-    Dyw: Array | None = None,
+    plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
     """Returns the largest bound that right-half-plane zeros prove, 0 if they prove nothing, and approximations of the zeros used.
 
     Args:
-        Cy: shape (q, n); None if all states are measured, when only the zeros from u to z count.
-        inequalities: inequalities of the plant and the transposed plant, if known.
-        Dyw: shape (q, r); zero if it is not given.
+        plant: without measurements, as if all states are measured, only the zeros from u to z count.
+        inequalities: inequalities of the plant and the transposed plant, if known; None for the latter if it does not count.
     """
-    one, other = _sides(plant, Cy, Dyw, inequalities)
+    one, other = _sides(plant, inequalities)
     left, right = (_enclosed(side, side.zeros()) for side in (one, other))
     best: tuple[float, Zeros] = (0.0, ((), ()))
     for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
@@ -91,13 +87,13 @@ def zero_limit(
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
-def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros, Dyw: Array | None = None) -> float:
+def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     """Returns a proved lower bound on the norm from the zeros near some points; 0 if none is enclosed."""
-    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy, Dyw), near, strict=True))
+    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
-    if Cy is not None and plant.dt is None:
-        others.append(limit_at_infinity(plant, len(Cy), Dyw))
-        turned = transposed(plant, Cy, Dyw)
+    if len(plant.Cy) and plant.dt is None:
+        others.append(limit_at_infinity(plant))
+        turned = transposed(plant)
         others += [limit_at(turned, zero.imag) for zero in near[1] if zero.real == 0]
     return max(_limit(left, right), *others)
 
@@ -117,17 +113,13 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 
 
 def _sides(
-    plant: GeneralizedPlant,
-    Cy: Array | None,
-    Dyw: Array | None,
-    inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
+    plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> "tuple[_Pencil, _Pencil]":
-    """Returns the equations of the plant and of the transposed plant; the latter are empty without Cy."""
-    one, other = inequalities or (SynthesisInequality.of(plant), None)
-    if Cy is None:
-        return _Pencil.of(plant, one), _EMPTY
-    turned = transposed(plant, Cy, Dyw)
-    return _Pencil.of(plant, one), _Pencil.of(turned, other or SynthesisInequality.of(turned))
+    """Returns the equations of the plant and of the transposed plant; the latter are empty without measurements."""
+    if inequalities is None:
+        inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(transposed(plant)) if len(plant.Cy) else None
+    one, other = inequalities
+    return _Pencil.of(plant, one), _EMPTY if other is None else _Pencil.of(transposed(plant), other)
 
 
 class _Pencil(NamedTuple):
@@ -147,7 +139,7 @@ class _Pencil(NamedTuple):
     unit: float = 1.0
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, side: SynthesisInequality) -> "_Pencil":
+    def of(cls, plant: Plant, side: SynthesisInequality) -> "_Pencil":
         """Returns the equations in units that are powers of two: scaling rounds nothing."""
         units = own_units(plant)
         rate, states = scale_near(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]

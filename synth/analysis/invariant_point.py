@@ -21,10 +21,10 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.analysis.norm import largest_singular_values
 from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, root_below, without_factors, zeros
 from synth.analysis.stability import balance, stability
-from synth.plant.generalized import GeneralizedPlant, check_continuous
+from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import own_units
 
 PEAKS = 6  # local maxima that are refined
@@ -35,7 +35,7 @@ ENOUGH = 1e-9  # relative; a proposal is tried if it promises to raise the best 
 UNCHANGED = 1e-3  # relative; a norm without control this close to the limit is the limit: far beyond rounding, below any goal
 
 
-def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
+def invariant_limit(plant: Plant) -> tuple[float, float] | None:
     """Returns the largest norm that no control changes, and its frequency [rad/s]; None if control can change every direction."""
     check_continuous(plant)
     rates = _rates(plant)
@@ -61,7 +61,7 @@ def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
-def limit_at(plant: GeneralizedPlant, omega: float) -> float:
+def limit_at(plant: Plant, omega: float) -> float:
     """Returns a proved norm of a plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
@@ -90,12 +90,12 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
     return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, effects)))
 
 
-def without_control(plant: GeneralizedPlant, omega: float) -> float:
+def without_control(plant: Plant, omega: float) -> float:
     """Returns the norm of z's response without control at a frequency [rad/s] that is not a pole."""
     return float(largest_singular_values(plant.frequency_response(np.array([omega])))[0])
 
 
-def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Array, int]:
+def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns M = [A - j omega, B; C, D] and what [q; p]* turns into the effect of w, in integers; see `limit_at`.
 
     Real and imaginary part of [q; p] lie below each other. For a discrete plant z = (1 + j t) / (1 - j t), with a float t =
@@ -125,16 +125,12 @@ def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Arr
     )
 
 
-def limit_at_infinity(plant: GeneralizedPlant, q: int, Dyw: Array | None = None) -> float:
+def limit_at_infinity(plant: Plant) -> float:
     """Returns a proved norm of Dw on the disturbances that y = C_y x + Dyw w does not feel at once; 0 if it feels all.
 
     As omega grows, no controller of y changes the response to them.
-
-    Args:
-        q: number of measurements.
-        Dyw: shape (q, r); zero if it is not given.
     """
-    silent = Nullspace(integers(np.zeros((plant.Bw.shape[1], q)) if Dyw is None else Dyw.T)[0])
+    silent = Nullspace(integers(plant.Dyw.T)[0])
     if not silent.free or not plant.Dw.any():
         return 0.0
     basis, over = without_factors(silent.complete(identity(len(silent.free))))
@@ -147,12 +143,12 @@ def limit_at_infinity(plant: GeneralizedPlant, q: int, Dyw: Array | None = None)
     return 0.0
 
 
-def is_pole(plant: GeneralizedPlant, omega: float) -> bool:
+def is_pole(plant: Plant, omega: float) -> bool:
     """Returns True if j omega is a pole to the last digit, as 0 is for an integrator."""
     return bool(np.linalg.matrix_rank(_states(replace(plant, A=balance(plant.A)[0]), omega)) < len(plant.A))
 
 
-def _states(plant: GeneralizedPlant, omega: float) -> Array:
+def _states(plant: Plant, omega: float) -> Array:
     """Returns A - j omega, or its like for a discrete plant, as in `_equations`."""
     eye = np.eye(len(plant.A))
     if plant.dt is None:
@@ -160,7 +156,7 @@ def _states(plant: GeneralizedPlant, omega: float) -> Array:
     return plant.A - eye - 1j * np.tan(omega * plant.dt / 2) * (plant.A + eye)
 
 
-def _poles_on_axis(plant: GeneralizedPlant) -> list[float]:
+def _poles_on_axis(plant: Plant) -> list[float]:
     """Returns the frequencies [rad/s] of the poles that lie on the axis to the last digit."""
     open_loop = stability(plant.A)
     near = np.unique(np.append(np.abs(np.imag(open_loop.poles[open_loop.on_axis])), 0.0))
@@ -180,7 +176,7 @@ def _strongest(outputs: Array, effects: Array) -> Array:
     return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if mask.any() else np.zeros(len(outputs))
 
 
-def _rates(plant: GeneralizedPlant) -> Array:
+def _rates(plant: Plant) -> Array:
     """Returns the positive magnitudes of the plant's poles [rad/s], or the rate of its `own_units` if all poles lie at 0.
 
     Rounding moves an n-fold pole at 0 by up to the n-th root of the rounding.
@@ -193,11 +189,11 @@ def _rates(plant: GeneralizedPlant) -> Array:
     return np.append(poles, own_units(plant).rate)
 
 
-def _invariant_part(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
+def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
     """Returns the part of Gw that is orthogonal to Gu at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
     try:
-        both = np.hstack([plant.Bw, plant.B]), np.hstack([plant.Dw, plant.D])
-        from_w, from_u = np.split(transfer_matrix(plant.A, both[0], plant.C, both[1], omega), [plant.Bw.shape[1]], axis=2)
+        both = plant.unchecked(Bw=np.hstack([plant.Bw, plant.B]), Dw=np.hstack([plant.Dw, plant.D]))
+        from_w, from_u = np.split(both.frequency_response(omega), [plant.Bw.shape[1]], axis=2)
     except np.linalg.LinAlgError:  # a pole, to the last digit
         return _invariant_part(plant, _off_poles(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)
@@ -206,13 +202,13 @@ def _invariant_part(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -
     return from_w - directions @ (directions.conj().swapaxes(1, 2) @ from_w)
 
 
-def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
+def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
     """Returns floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
     where, there = plant, omega
     if plant.dt is not None:
         from synth.plant.discrete import mapped, mapped_frequency
 
-        where, there = mapped(plant, np.eye(len(plant.A))).plant, mapped_frequency(omega, plant.dt)
+        where, there = mapped(plant.measured(np.eye(len(plant.A))))[0], mapped_frequency(omega, plant.dt)
     p = np.linalg.svd(_invariant_part(where, np.array([there]))[0])[0][:, 0]
     try:
         return p, np.linalg.solve(-_states(plant, omega).conj().T, plant.C.T @ p)
@@ -220,6 +216,6 @@ def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[A
         return _guess(plant, float(_off_poles(plant, np.array([omega]), away)[0]), FURTHER * away)
 
 
-def _off_poles(plant: GeneralizedPlant, omega: Array, away: float) -> Array:
+def _off_poles(plant: Plant, omega: Array, away: float) -> Array:
     """Returns frequencies slightly above `omega`, to avoid exact poles."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

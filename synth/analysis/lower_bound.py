@@ -34,7 +34,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product, root_below
 from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram, transposed
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
@@ -102,27 +102,16 @@ class SampledBound:
         return self.inside or self.proof.gamma >= 1 + BEYOND
 
 
-def prove_lower_bound(
-    plant: GeneralizedPlant,
-    state: DualCertificate,
-    Cy: Array | None = None,
-    observer: DualCertificate | None = None,
-    Dyw: Array | None = None,
-) -> LowerBound:
+def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertificate | None = None) -> LowerBound:
     """Returns the bound that dual certificates prove. Earlier on the central path it is weaker, by (2 n + d) mu, but easier to
     prove.
-
-    Args:
-        Cy: shape (q, n); given with an observer.
-        Dyw: shape (q, r); zero if it is not given.
 
     Raises:
         ValueError: a dual certificate is not of the plant's shape.
     """
     one = SynthesisInequality.of(plant)
-    if observer is None or Cy is None:
-        return prove_from_inequalities(one, None, state, None)
-    return prove_from_inequalities(one, SynthesisInequality.of(transposed(plant, Cy, Dyw)), state, observer)
+    other = SynthesisInequality.of(transposed(plant)) if observer is not None else None
+    return prove_from_inequalities(one, other, state, observer)
 
 
 def prove_from_inequalities(

@@ -25,22 +25,15 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import transfer_matrix_closely
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.discrete import LEFT, MOST_TURNS, continuous_loop, mapped_frequency, response_closely, true_frequency
+from synth.plant.double_double import added, multiplied, product
+from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
 CLOSE_ZOOMS = 8  # with twice the digits: 1e-16 of the gain
 WITHIN = 1e-4  # step of a parabola through a peak, as a share of the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 ALIKE = 1e-9  # relative to the largest gain; modes this close to the transfer function may propose frequencies
-
-
-def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
-    """Returns Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite frequencies [rad/s] of shape (F,)."""
-    n = len(A)
-    shifted = np.broadcast_to(-A, (len(omega), n, n)).astype(complex)
-    shifted[:, np.arange(n), np.arange(n)] += 1j * omega[:, None]
-    return C @ np.linalg.solve(shifted, np.broadcast_to(Bw.astype(complex), (len(omega), *Bw.shape))) + Dw
 
 
 def largest_singular_values(T: Array) -> Array:
@@ -74,6 +67,48 @@ def _smaller_square(T: Array) -> Array:
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 
 
+def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
+    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
+
+    The residual of the linear system is computed with twice the digits and solved for again, until the answer converges
+    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). It fails if A leaves floats no digit at all.
+
+    Args:
+        system: system from w to z, whose `beyond` counts.
+        omega: angular frequencies [rad/s], shape (F,).
+
+    Returns:
+        T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
+    """
+    (n, r), Bw, A, C = system.Bw.shape, system.Bw, system.A, system.C
+    beyond = np.zeros((n + len(C), n)) if system.beyond is None else system.beyond
+    A_low, C_low = beyond[:n], beyond[n:]
+    turned = omega[:, None, None]
+    shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
+    high, low = np.zeros((2, len(omega), n, 2 * r))  # real parts beside imaginary ones
+    T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
+    for _ in range(MOST_TURNS):
+        by, into = multiplied(turned, _times_j(high)), product(A, high)
+        change, lost = added(into[0], -by[0])
+        residual, rest = added(right, change)
+        residual += rest + lost + into[1] - by[1] + A @ low + A_low @ high - turned * _times_j(low)
+        step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
+        high, lost = added(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
+        high, low = added(high, low + lost)
+        out, lost = product(C, high)
+        out = out + lost + C @ low + C_low @ high
+        before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
+        moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
+        if np.all(moved <= LEFT * np.abs(T).max(axis=(1, 2), initial=0.0)):
+            break
+    return T, moved
+
+
+def _times_j(x: Array) -> Array:
+    r = x.shape[-1] // 2
+    return np.concatenate([-x[..., r:], x[..., :r]], axis=-1)
+
+
 class Gain:
     """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on an interval of the axis.
 
@@ -83,16 +118,16 @@ class Gain:
         high: end of the interval [rad/s], above low; may be infinite.
     """
 
-    def __init__(self, system: GeneralizedPlant, low: float = 0.0, high: float = np.inf) -> None:
+    def __init__(self, system: Plant, low: float = 0.0, high: float = np.inf) -> None:
         self.low, self.high = low, high
-        self.A, scale = balance(system.A)
-        self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
-        beyond = np.zeros((len(self.A) + len(self.C), len(self.A))) if system.beyond is None else system.beyond * scale
-        self.A_beyond, self.C_beyond = beyond[: len(self.A)] / scale[:, None], beyond[len(self.A) :]
-        own_stability = stability_of_balanced(self.A)
+        A, scale = balance(system.A)
+        beyond = np.zeros((len(A) + len(system.C), len(A))) if system.beyond is None else system.beyond * scale
+        beyond[: len(A)] /= scale[:, None]
+        self.system = system.unchecked(A=A, Bw=system.Bw / scale[:, None], C=system.C * scale, beyond=beyond)
+        own_stability = stability_of_balanced(A)
         self.poles, self.vectors = own_stability.poles, own_stability.vectors
-        self.at_infinity = float(np.linalg.norm(self.Dw, 2))
-        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # relative rounding of a singular value of an exact T
+        self.at_infinity = float(np.linalg.norm(self.system.Dw, 2))
+        self.last = (self.system.Dw.size + 4) * np.finfo(float).eps  # relative rounding of a singular value of an exact T
         self.stable = own_stability.stable
         on_axis = np.abs(np.imag(self.poles[own_stability.on_axis]))
         on_axis = on_axis[(on_axis >= low) & (on_axis <= high)]
@@ -105,7 +140,7 @@ class Gain:
 
     def at(self, omega: Array) -> Array:
         """Returns the largest singular value at angular frequencies [rad/s] of shape (F,), shape (F,)."""
-        return np.linalg.norm(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega), 2, axis=(1, 2))
+        return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
         """Returns `at` computed by the modes, to ALIKE; `at` itself if they give fewer digits."""
@@ -115,7 +150,7 @@ class Gain:
         """Returns the largest gain at infinity, at the interval's edges and where poles are: at most the norm, and near it."""
         upper = self.poles[np.imag(self.poles) >= 0]
         omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
-        gains = largest_singular_values(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega))
+        gains = largest_singular_values(self.system.frequency_response(omega))
         return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
@@ -128,10 +163,10 @@ class Gain:
 
         (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
         """
-        n = len(self.A)
-        R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - self.A))
-        seen, driven = np.abs(self.C) @ R, R @ np.abs(self.Bw)
-        lost = seen @ ((np.abs(self.A) + omega[:, None, None] * np.eye(n)) @ driven) + np.abs(self.C) @ driven
+        A, C, n = self.system.A, np.abs(self.system.C), len(self.system.A)
+        R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A))
+        seen, driven = C @ R, R @ np.abs(self.system.Bw)
+        lost = seen @ ((np.abs(A) + omega[:, None, None] * np.eye(n)) @ driven) + C @ driven
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
@@ -141,7 +176,7 @@ class Gain:
 
     def closely(self, omega: Array) -> tuple[Array, Array]:
         """Returns `at` with twice the digits, shape (F,), and bounds on its error."""
-        T, missing = transfer_matrix_closely((self.A, self.A_beyond), self.Bw, (self.C, self.C_beyond), self.Dw, omega)
+        T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
@@ -201,15 +236,15 @@ class Gain:
 
     def _by_modes(self, residues: Array, omega: Array) -> Array:
         T = (1 / (1j * omega[:, None] - self.poles)) @ residues
-        return largest_singular_values(T.reshape(len(omega), *self.Dw.shape) + self.Dw)
+        return largest_singular_values(T.reshape(len(omega), *self.system.Dw.shape) + self.system.Dw)
 
     @cached_property
     def _residues(self) -> Array | None:
         """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None if digits are lost."""
-        if not len(self.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
+        if not len(self.system.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
             return None
-        seen, driven = (self.C @ self.vectors).T, np.linalg.solve(self.vectors, self.Bw.astype(complex))
-        residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(self.A), -1)
+        seen, driven = (self.system.C @ self.vectors).T, np.linalg.solve(self.vectors, self.system.Bw.astype(complex))
+        residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(self.system.A), -1)
         probes = self.within(np.concatenate([[0.0], np.quantile(np.abs(self.poles), [0, 0.5, 1])]))
         true = self.at(probes)
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
@@ -246,7 +281,7 @@ class Norm:
 
 
 @one_thread()
-def hinf_norm(system: GeneralizedPlant) -> Norm:
+def hinf_norm(system: Plant) -> Norm:
     """Returns the H-infinity norm from w to z with u = 0, by both routes.
 
     Example:
@@ -260,8 +295,6 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
     """
     unstable = Norm(np.inf, np.nan, np.inf, np.inf)
     if system.dt is not None:
-        from synth.plant.discrete import continuous_loop
-
         stable = stability(system.A, system.dt).stable
         return discrete_by_both_routes(system, system.dt, Gain(continuous_loop(system))) if stable else unstable
     gain = Gain(system)
@@ -284,13 +317,11 @@ def by_both_routes(gain: Gain) -> Norm:
     return Norm(value, at, level, sweep, rounding / value + missed(at) + gain.last if value else 0.0)
 
 
-def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> Norm:
+def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
     """Returns the largest gain of a discrete system by both routes.
 
     They run on its bilinear image, which only proposes frequencies. The gain there is that of the discrete system.
     """
-    from synth.plant.discrete import response_closely, true_frequency
-
     norms = []
     for route in (by_level_sets, by_sweep):
         value, at = route(gain)
@@ -302,16 +333,14 @@ def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> 
     return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.missed(at) + gain.last if value else 0.0)
 
 
-def gain_at(system: GeneralizedPlant, omega: float) -> float:
+def gain_at(system: Plant, omega: float) -> float:
     """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
-        from synth.plant.discrete import mapped_frequency, response_closely
-
         return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
     return float(Gain(system).closely(np.array([omega]))[0][0])
 
 
-def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
+def level_set_norm(system: Plant) -> tuple[float, float]:
     """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
     The eigenvalues only propose frequencies; the transfer function decides. So no tolerance has to tell an imaginary eigenvalue
@@ -346,17 +375,18 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
     Between two crossings, or a crossing and an edge, the gain lies above the level everywhere, or nowhere. So if any gain is
     above the level, one of these is.
     """
-    crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, level)
+    crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
     proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2])
     return proposed, np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2])
 
 
-def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
+def level_crossings(system: Plant, level: float) -> Array:
     """Returns the imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
 
     They contain every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level.
     """
+    A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
     if not through or level > CLEAR * np.linalg.norm(Dw, 2):
@@ -396,7 +426,7 @@ def _power_of_two(size: float) -> float:
     return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
-def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:
+def sweep_norm(system: Plant) -> tuple[float, float]:
     """Returns the largest gain on the imaginary axis by a refined frequency sweep, and its frequency [rad/s]."""
     return by_sweep(Gain(system))
 

@@ -16,7 +16,7 @@ from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
 from synth.analysis.specification import SAMPLED_NORM
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
@@ -65,16 +65,12 @@ def _proof_record(below: LowerBound) -> dict[str, Any]:
     return record
 
 
-def read_proof(
-    record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0, Dyw: Array | None = None
-) -> tuple[Array | None, float | None, LowerBound]:
+def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[Array | None, float | None, LowerBound]:
     """Returns X and eta for (20), both None if one is absent, and the lower bound that the record proves; with numpy alone.
 
     Args:
         record: record from `to_record`.
-        Cy: measurement matrix, shape (q, n); q may be 0.
         kept: number of controller states, which are in X, too.
-        Dyw: feedthrough from w to the measurements, shape (q, r); zero if it is not given.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.
@@ -99,7 +95,7 @@ def read_proof(
             raise InputError("X in a certificate is not symmetric; save the controller again")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
-    lower_bound = _proved(record, plant, Cy, Dyw)
+    lower_bound = _proved(record, plant)
     return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
 
 
@@ -116,10 +112,10 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
     plant = problem.at(level)
     if plant is None:
         return SampledBound(level, LowerBound(0.0), inside=True)
-    return SampledBound(level, _proved(proof, plant, problem.rows, problem.Dyw(level)))
+    return SampledBound(level, _proved(proof, plant))
 
 
-def _proved(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, Dyw: Array | None) -> LowerBound:
+def _proved(record: Mapping[str, Any], plant: Plant) -> LowerBound:
     """Returns the lower bound that the proofs of a record prove; arguments and errors as for `read_proof`."""
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
@@ -129,12 +125,12 @@ def _proved(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, Dyw: 
     if zeros is not None:
         from synth.analysis.interpolation import limit_at_zeros
 
-        gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros, Dyw)
+        gamma = limit_at_zeros(plant, zeros)
         lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
     state, observer = _dual_certificate(record, "state"), _dual_certificate(record, "observer")
     if state is not None:
         try:
-            proved = prove_lower_bound(plant, state, Cy, observer, Dyw)
+            proved = prove_lower_bound(plant, state, observer)
         except ValueError as error:
             raise InputError(f"a certificate does not fit the vehicle: {error}; save the controller again") from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound

@@ -33,7 +33,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
 from synth.analysis.stability import balance
-from synth.plant.generalized import GeneralizedPlant, check_states
+from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
@@ -86,7 +86,7 @@ class Lifted:
         )
 
 
-def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma: float) -> Lifted | None:
+def lifted(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) -> Lifted | None:
     """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
 
     Args:
@@ -106,7 +106,7 @@ def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma
     return whole
 
 
-def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, Array]:
+def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
     """Returns A, Bw and C of the plant with k held inputs as further states, of which `acting`, shape (m, k), selects m."""
     n, k = len(plant.A), acting.shape[1]
     A, Bw = np.zeros((n + k, n + k)), np.zeros((n + k, plant.Bw.shape[1]))
@@ -114,7 +114,7 @@ def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, A
     return A, Bw, np.hstack([plant.C, plant.D @ acting])
 
 
-def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float) -> Lifted | None:
+def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted | None:
     """Returns the discrete plant over one piece of the period, by doubling a short time."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
@@ -192,7 +192,7 @@ class SampledLoop(Checked):
         noise: gain from the noise to the computed forces and the next controller states, shape (m + k, j), or None.
     """
 
-    plant: GeneralizedPlant
+    plant: Plant
     pieces: Annotated[tuple[HoldInterval, ...], AT_LEAST_ONE]
     K: Matrix
     A_register: Matrix
@@ -212,9 +212,7 @@ class SampledLoop(Checked):
 
     @classmethod
     @at_the_door
-    def of_gain(
-        cls, plant: GeneralizedPlant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0
-    ) -> "SampledLoop":
+    def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
         """Returns the loop of a gain, u = K y at every sample.
 
         Args:
@@ -230,25 +228,21 @@ class SampledLoop(Checked):
         (n, m), q = plant.B.shape, len(Cy)
         check_shape("Cy", Cy, (q, n), f"one column for each of the {n} states of the plant")
         check_shape("K", K, (m, q), f"as the plant has {m} inputs, and Cy has {q} rows")
-        return cls.of_law(plant, Cy, np.zeros((q, m)), K, hold_intervals(sample_period, delay), np.zeros((q, 0)))
+        return cls.of_law(replace(plant.unmeasured, Cy=Cy), K, hold_intervals(sample_period, delay), np.zeros((q, 0)))
 
     @classmethod
-    def of_law(
-        cls, plant: GeneralizedPlant, Cy: Array, Dyu: Array, law: Array, pieces: tuple[HoldInterval, ...], noise: Array
-    ) -> "SampledLoop":
+    def of_law(cls, plant: Plant, law: Array, pieces: tuple[HoldInterval, ...], noise: Array) -> "SampledLoop":
         """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
 
         Args:
-            plant: n states, m inputs.
-            Cy, Dyu: the measurements, y = C_y x + Dyu u + `noise` e, where u is the force that acts just before a sample; shapes
-                (q, n), (q, m).
+            plant: n states, m inputs, and q measurements y = C_y x + Dyu u + `noise` e, where u acts just before a sample.
             law: matrix [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
             pieces: parts of the sample period.
             noise: shape (q, j); j may be 0.
         """
-        (n, m), q = plant.B.shape, len(Cy)
-        k, previous = len(law) - m, m if np.any(Dyu) else 0
-        rows = np.hstack([Cy, np.zeros((q, k)), Dyu[:, :previous]])
+        (n, m), q = plant.B.shape, len(plant.Cy)
+        k, previous = len(law) - m, m if np.any(plant.Dyu) else 0
+        rows = np.hstack([plant.Cy, np.zeros((q, k)), plant.Dyu[:, :previous]])
         computed = law[:, :q] @ rows
         computed[:, n : n + k] += law[:, q:]
         memory = np.vstack([computed[m:], np.zeros((previous, n + k + previous))])
@@ -375,16 +369,12 @@ class SampledDataProblem:
     reading is s / sqrt(T) times a sequence whose energy is the sum of its squares.
 
     Attributes:
-        plant: plant in continuous time with n states.
-        Cy: shape (q, n).
-        through: feedthrough from the force before a sample to the measurements, shape (q, m).
+        plant: plant in continuous time with n states and q measurements, whose Dyu is that of the force before a sample.
         pieces: parts of the sample period: two if the delay has a fraction of a period.
         rms: rms noise of each measurement, shape (q,); None without noise.
     """
 
-    plant: GeneralizedPlant
-    Cy: Array
-    through: Array
+    plant: Plant
     pieces: tuple[HoldInterval, ...]
     rms: Array | None = None
 
@@ -401,40 +391,43 @@ class SampledDataProblem:
     @cached_property
     def remembered(self) -> int:
         """Number of previous forces among the states."""
-        return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
+        return max(self.pieces[0].late, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
     def rows(self) -> Array:
         """C_y on all states, shape (q, n + m remembered)."""
-        (q, m), k = self.through.shape, self.remembered
+        (q, m), k = self.plant.Dyu.shape, self.remembered
         past = np.zeros((q, k * m))
-        if np.any(self.through):
-            past[:, (self.before - 1) * m : self.before * m] = self.through
-        return np.hstack([self.Cy, past])
+        if np.any(self.plant.Dyu):
+            past[:, (self.before - 1) * m : self.before * m] = self.plant.Dyu
+        return np.hstack([self.plant.Cy, past])
 
     @property
     def at_once(self) -> "SampledDataProblem":
         """The same with forces that act at the sample, and in nothing that is measured."""
-        return replace(self, through=np.zeros_like(self.through), pieces=(HoldInterval(self.period, 0),))
+        return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
     def noise(self) -> Array:
         """From noise of energy one to the measurements, shape (q, j): a column for each that has noise."""
         if self.rms is None:
-            return np.zeros((len(self.Cy), 0))
+            return np.zeros((len(self.plant.Cy), 0))
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
 
     def of(self, kept: Sequence[int]) -> "SampledDataProblem":
         """Returns the same with some of the measurements."""
         rms = None if self.rms is None else self.rms[kept]
-        return replace(self, Cy=self.Cy[kept], through=self.through[kept], rms=rms)
+        return replace(self, plant=self.plant.rows(kept), rms=rms)
 
     def loop(self, K: Array) -> SampledLoop:
         """Returns the loop of a gain or a discrete law, as the computer closes it; `K` as `law` of `SampledLoop.of_law`."""
-        return SampledLoop.of_law(self.plant, self.Cy, self.through, K, self.pieces, self.noise)
+        return SampledLoop.of_law(self.plant, K, self.pieces, self.noise)
 
-    def at(self, gamma: float) -> GeneralizedPlant | None:
-        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""
+    def at(self, gamma: float) -> Plant | None:
+        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible.
+
+        It measures `rows` of its states, and the noise.
+        """
         (n, m), k = self.plant.B.shape, self.remembered
         count = len(self.pieces)
         intervals = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
@@ -454,7 +447,7 @@ class SampledDataProblem:
         seen, driven = lifted_loop.Cd @ start, np.zeros((n + k * m, lifted_loop.Bd.shape[1] + self.noise.shape[1]))
         driven[:n, : lifted_loop.Bd.shape[1]] = lifted_loop.Bd[:n]
         states = n + k * m
-        return GeneralizedPlant(
+        return Plant(
             A=moved[:, :states],
             B=moved[:, states:],
             Bw=driven,
@@ -462,11 +455,6 @@ class SampledDataProblem:
             D=seen[:, states:],
             Dw=np.zeros((len(seen), driven.shape[1])),
             dt=self.period,
+            Cy=self.rows,
+            Dyw=np.hstack([np.zeros((len(self.rows), lifted_loop.Bd.shape[1])), self.noise / gamma]),
         )
-
-    def Dyw(self, gamma: float) -> Array | None:
-        """Returns the noise of a level's measurements, shape (q, r + j); None without noise."""
-        if not self.noise.size:
-            return None
-        (n, m), (q, _) = self.plant.B.shape, self.noise.shape
-        return np.hstack([np.zeros((q, n + len(self.pieces) * m)), self.noise / gamma])

@@ -25,6 +25,7 @@ from synth.analysis.norm import largest_singular_values, level_crossings
 from synth.analysis.sampled_loop import Lifted, SampledLoop, in_own_units, lifted, with_inputs
 from synth.analysis.specification import ABOVE, BELOW, SampledNorm
 from synth.analysis.stability import balance, sampled_growth
+from synth.plant.generalized import Plant
 
 DEGREE = 3
 FEWEST, MOST = 4, 64  # limits of the first number of parts of a piece
@@ -196,7 +197,7 @@ class _Level:
         B, C = np.hstack([inverse[:, : len(self.Bd)] @ self.Bd, inverse @ moved]), self.Cd @ start
         direct = np.hstack([np.zeros((len(C), self.Bd.shape[1])), self.Cd @ entered])
         into, out = 2 / math.sqrt(T) * B / scale[:, None], 2 / math.sqrt(T) * C @ inverse * scale
-        return 2 * np.arctan(T / 2 * level_crossings(A, into, out, direct - C @ B, 1.0))
+        return 2 * np.arctan(T / 2 * level_crossings(Plant.without_inputs(A, into, out, direct - C @ B), 1.0))
 
     def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
         """Returns the highest gain within some widths of some angles, and its angle."""

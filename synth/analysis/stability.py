@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.printed import rough
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
@@ -256,7 +256,7 @@ def _inverse_of_triangle(matrix: Array) -> Array:
     return inverse
 
 
-def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
+def beside_weights(plant: Plant, A: Array) -> Array:
     """Returns a closed loop's A without the states of weights, whose poles no control moves.
 
     Args:
@@ -298,39 +298,36 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
     return modes
 
 
-def stabilisability_failures(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] = ()) -> list[str]:
+def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
     """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
 
     Args:
-        Cy: shape (q, n), or None if every state is measured.
+        plant: without measurements, every state counts as measured.
         states: names of the states. Default: x1, x2, ...
     """
-    names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt
-    plant = own.into(plant.differences)
+    names, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt
+    plant = own_units(plant, measured=True).into(plant.differences)
     reasons = [
         f"the plant cannot be stabilised: no input acts on the mode at {pole_text(pole, dt)}, which does not decay and appears "
         f"most in {largest(vector, names)}; add an actuator that acts on this mode, or remove the mode from the model"
         for pole, vector in uncontrollable_modes(plant.A, plant.B, dt)
     ]
-    if Cy is not None:
+    if len(plant.Cy):
         reasons += [
             f"the plant cannot be stabilised with these measurements: none of them contains the mode at {pole_text(pole, dt)}, "
             f"which does not decay and appears most in {largest(vector, names)}; measure a signal that contains this mode"
-            for pole, vector in uncontrollable_modes(plant.A.T, (Cy * own.states).T, dt)
+            for pole, vector in uncontrollable_modes(plant.A.T, plant.Cy.T, dt)
         ]
     return reasons
 
 
-def static_feedback_obstructions(plant: GeneralizedPlant, Cy: Array) -> list[str]:
+def static_feedback_obstructions(plant: Plant) -> list[str]:
     """Returns reasons why no static output feedback stabilises a controllable and observable plant; empty if none is known.
 
     A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). For a discrete plant the same
     holds for its differences, in which z = 1 is 0.
-
-    Args:
-        Cy: shape (q, n).
     """
-    where = stability(plant.A, plant.dt)
+    where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
         return []
     A, B = plant.differences.A, plant.differences.B

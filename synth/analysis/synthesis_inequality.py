@@ -49,7 +49,7 @@ from synth.analysis.rigorous import (
     without_factors,
     zeros,
 )
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 
 GROWTH = 1e-9  # relative to |A|; a smaller real part is rounding
@@ -109,7 +109,7 @@ class SynthesisInequality:
     scale: int
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant) -> "SynthesisInequality":
+    def of(cls, plant: Plant) -> "SynthesisInequality":
         """Returns the inequality of state feedback, or of the observer if the plant is the transposed one."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
@@ -139,15 +139,9 @@ class SynthesisInequality:
         return floats(self.U, one), floats(self.Q, two), floats(self.b, two), floats(self.c, one)
 
 
-def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> GeneralizedPlant:
-    """Returns the transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged.
-
-    Args:
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero if it is not given.
-    """
-    D = np.zeros((plant.Bw.shape[1], len(Cy))) if Dyw is None else np.asarray(Dyw).T
-    return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T, dt=plant.dt)
+def transposed(plant: Plant) -> Plant:
+    """Returns the transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged."""
+    return Plant(plant.A.T, plant.Cy.T, plant.C.T, plant.Bw.T, plant.Dyw.T, plant.Dw.T, dt=plant.dt)
 
 
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
@@ -157,7 +151,7 @@ def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Ar
     return product(other.J, one.J.T) * denominator // np.multiply.outer(rows, columns), denominator
 
 
-def costless_reachable_subspace(plant: GeneralizedPlant) -> Array:
+def costless_reachable_subspace(plant: Plant) -> Array:
     """Returns F, the states that inputs control without cost in z: independent columns of integers, shape (n, f)."""
     n, (system, _) = len(plant.A), integers(plant.system_matrix)
     return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
@@ -192,7 +186,7 @@ def _emptied(states: Array, inputs: Array) -> Array:
         F = wider
 
 
-def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
+def _hidden(plant: Plant, states: Array) -> Array:
     """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
 
     A wrong decision here makes the bound weaker, but not false.

@@ -29,7 +29,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.certificate import bound_of
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 MOST = 12  # uncertain factors of a box, which has 4096 corners then
 REGULAR = 1e-6  # relative to the largest: smallest determinant of a well-posed loop through the measurements
@@ -86,18 +86,14 @@ class ScaledGain:
     """Loops under the gains S_u K S_y.
 
     Attributes:
-        plant: plant in continuous time with n states, m inputs, d controlled outputs and r disturbances.
+        plant: plant in continuous time with n states, m inputs, d controlled outputs, r disturbances and q measurements.
         K: shape (m, q).
-        Cy, Dyw, Dyu: y = C_y x + Dyw w + Dyu u, shapes (q, n), (q, r) and (q, m).
-        before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.Mapped`.
+        before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.mapped`.
         readings, forces: number of leading columns and rows of K that are readings and forces; a law's own states follow.
     """
 
-    plant: GeneralizedPlant
+    plant: Plant
     K: Array
-    Cy: Array
-    Dyw: Array
-    Dyu: Array
     before: Array
     readings: int
     forces: int
@@ -109,7 +105,7 @@ class ScaledGain:
 
     def return_difference(self, K: Array) -> Array:
         """Returns I - K Dyu, shape (..., m, m)."""
-        return np.eye(len(self.K)) - K @ self.Dyu
+        return np.eye(len(self.K)) - K @ self.plant.Dyu
 
     def acting(self, factors: Array) -> Array:
         """Returns the gains that act on C_y x + Dyw w, shape (..., m, q).
@@ -118,11 +114,11 @@ class ScaledGain:
             LinAlgError: a loop through the measurements is not well-posed.
         """
         K = self.scaled(factors)
-        return np.linalg.solve(self.return_difference(K), K) if np.any(self.Dyu) else K
+        return np.linalg.solve(self.return_difference(K), K) if np.any(self.plant.Dyu) else K
 
     def well_posed(self, box: Box) -> bool:
         """Returns True if every loop through the measurements is well-posed."""
-        if not np.any(self.Dyu):
+        if not np.any(self.plant.Dyu):
             return True
         determinants = np.linalg.det(self.return_difference(self.scaled(box.vertices)))
         return bool(np.all(np.abs(determinants) > REGULAR * np.abs(determinants).max()) and np.ptp(np.sign(determinants)) == 0)
@@ -134,17 +130,17 @@ class ScaledGain:
             LinAlgError: a loop through the measurements is not well-posed.
         """
         K, plant = self.acting(factors), self.plant
-        G, through = K @ self.Cy, K @ self.Dyw
+        G, through = K @ self.plant.Cy, K @ self.plant.Dyw
         A, C = plant.A + plant.B @ G, plant.C + plant.D @ G
         return Loops(A, plant.Bw + plant.B @ through, C, plant.Dw + plant.D @ through)
 
     def sizes(self, factors: Array) -> Loops:
         """Returns `loops` with every term replaced by its magnitude, to which the rounding is proportional."""
         scaled, plant = np.abs(self.scaled(factors)) + 2 * np.abs(self.before), self.plant
-        if np.any(self.Dyu):
+        if np.any(self.plant.Dyu):
             size = np.abs(np.linalg.inv(self.return_difference(self.scaled(factors))))
-            scaled = size @ (scaled + (np.eye(len(self.K)) + scaled @ np.abs(self.Dyu)) @ np.abs(self.acting(factors)))
-        G, through = scaled @ np.abs(self.Cy), scaled @ np.abs(self.Dyw)
+            scaled = size @ (scaled + (np.eye(len(self.K)) + scaled @ np.abs(self.plant.Dyu)) @ np.abs(self.acting(factors)))
+        G, through = scaled @ np.abs(self.plant.Cy), scaled @ np.abs(self.plant.Dyw)
         B, D = np.abs(plant.B), np.abs(plant.D)
         A, C = np.abs(plant.A) + B @ G, np.abs(plant.C) + D @ G
         return Loops(A, np.abs(plant.Bw) + B @ through, C, np.abs(plant.Dw) + D @ through)

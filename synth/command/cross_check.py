@@ -11,10 +11,10 @@ import numpy as np
 from models.document.field import Field
 from synth.controller.controller import Controller
 from synth.controller.report import BOUND
-from synth.design.two_step import as_measurement_matrix, well_posed
+from synth.design.two_step import independently_measured, well_posed
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.plant.units import own_units, reachable, size
 from synth.vehicle.designer import Designer
@@ -100,9 +100,10 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
         return None
-    Cy, kept = as_measurement_matrix(shared.plant, designer.problem(controller.measured, controller.hardware).Cy)
-    units = own_units(shared.plant, Cy[kept])
-    rows, measured = units.rows(Cy[kept])
+    posed = designer.problem(controller.measured, controller.hardware).plant
+    _, few, kept = independently_measured(shared.plant.measured(posed.Cy))
+    units = own_units(few, measured=True)
+    rows, measured = units.rows(few.Cy)
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]
     if controller.name == "state":
         which, Q, R = "(22)", np.zeros((len(rows), 0)), np.linalg.inv(rows)
@@ -119,7 +120,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     plant, eye = plant.in_coordinates(scaling), np.eye(len(T))
     rate, output_unit = size(plant.A), 1 / size(plant.C)
     input_unit, disturbance_unit = rate / size(plant.B), rate / size(plant.Bw)
-    plant = GeneralizedPlant(
+    plant = Plant(
         A=plant.A / rate,
         B=plant.B * input_unit / rate,
         Bw=plant.Bw * disturbance_unit / rate,

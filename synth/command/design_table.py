@@ -24,7 +24,7 @@ from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
 from synth.controller.report import notes as notes_on
 from synth.design.descent.flatness import free_moves
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
@@ -56,7 +56,7 @@ class Designs:
     vehicle: Vehicle
     rows: tuple[Row, ...]
     limit: LowerBound
-    plant: GeneralizedPlant
+    plant: Plant
     flat: dict[str, list[float | None]]
     passive: float | None
     felt: Mapping[str, Mapping[str, float | None]]
@@ -203,7 +203,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     except DesignError:
         return {}
     states = designer.vehicle.linear_model.states
-    moves = np.stack(free_moves(designer.plant, measurements(designer.vehicle, states)[0], K, FLAT))
+    moves = np.stack(free_moves(designer.plant.measured(measurements(designer.vehicle, states)[0]), K, FLAT))
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)

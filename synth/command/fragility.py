@@ -38,7 +38,7 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
         return None
     posed, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
     norms, gain = posed.of_heights is None, controller.law.continuous()
-    found = errors.fragility(scaled_gain(posed.plant, posed.Cy, gain, posed.Dyw, posed.feedthrough), norms)
+    found = errors.fragility(scaled_gain(posed.plant, gain), norms)
     rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
     lines = [errors.fragility_text(found, *names), *filter(None, [errors.rounding_text(found.norm, rounding)])]
     return FragilityReport(found, rounding, lines, errors.fragility_object(found, rounding, *names))

@@ -50,7 +50,7 @@ from synth.controller.report import (
     study_notes,
     twist_lines,
 )
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
@@ -133,7 +133,7 @@ LEVEL = Field[Row](
 ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
-def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: GeneralizedPlant, apart: bool = False) -> Document:
+def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Plant, apart: bool = False) -> Document:
     """Returns the designs as a document: the table, the limit of every design, and notes on the loops that are meant.
 
     Args:
@@ -181,7 +181,7 @@ def _unlimited(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]
     return [text.format(free[0])] if free and not given.issuperset(one.name for one in controllers) else []
 
 
-def limit_text(limit: LowerBound, plant: GeneralizedPlant) -> str:
+def limit_text(limit: LowerBound, plant: Plant) -> str:
     """Returns the bound that no control force lowers, in words; with a mode to be held, for stabilising forces only.
 
     At an invariant point z has that norm without control, too.

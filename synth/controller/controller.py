@@ -21,7 +21,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
@@ -172,9 +172,9 @@ class Controller(ControlLaw, Checked, Shown):
         Raises:
             InputError: the loop has no solution, or a discrete law has no continuous counterpart.
         """
-        return self.law.continuous().fed_back(self.problem(vehicle).feedthrough[: len(self.measured)])
+        return self.law.continuous().fed_back(self.problem(vehicle).plant.Dyu[: len(self.measured)])
 
-    def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
+    def loop(self, vehicle: Vehicle) -> Plant:
         """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
         return self.problem(vehicle).judged(self.law).loop
 
@@ -254,7 +254,7 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     with error_in(f"[controllers.{entry.name}]"):
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
-        X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, of_law, posed.Dyw)
+        X, eta, lower_bound = read_proof(record, posed.plant, of_law)
         certificate = judged.certificate(X, eta, lower_bound)
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
@@ -294,7 +294,7 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
     Raises:
         InputError: the loop through the measurements has no solution.
     """
-    through, others = posed.feedthrough, posed.state_measurements
+    through, others = posed.plant.Dyu, posed.state_measurements
     q = len(through)
     B, D = np.zeros((law.states, q)), np.zeros((len(law.D), q))
     B[:, others], D[:, others] = law.B, law.D

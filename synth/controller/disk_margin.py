@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synth.analysis.norm import hinf_norm
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 
@@ -42,7 +42,7 @@ def disk_margin(cut: StateSpace) -> DiskMargin:
     inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
     n, k = cut.B.shape
     # x' = A x + B u, u = v + d, and z = u - d / 2.
-    sensitivity = GeneralizedPlant(
+    sensitivity = Plant(
         A=cut.loop_matrix(1.0),
         B=np.zeros((n, 1)),
         Bw=cut.B @ inverse,

@@ -25,8 +25,7 @@ from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 FORGOTTEN = 1e-5  # per period, of what the mean of the road's velocity is from: without, its integral would not decay
 
@@ -67,21 +66,24 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
         B=np.vstack([plant.B, np.zeros((r, m))]),
         Bw=np.vstack([plant.Bw, D]),
         C=np.hstack([plant.C, np.zeros((len(plant.C), r))]),
+        Cy=linalg.block_diag(plant.Cy, np.eye(r)),
+        Dyu=np.vstack([plant.Dyu, np.zeros((r, m))]),
+        Dyw=np.vstack([plant.Dyw, np.zeros((r, plant.Bw.shape[1]))]),
     )
     now, before = model.Dw[rows] / period + model.Cr[rows], -math.exp(-FORGOTTEN) * model.Dw[rows] / period
     read, states = law[:, :q], law[:, q:]
     kept = np.eye(r, q + r + states.shape[1] + r, q)
     larger = np.vstack([np.hstack([read, read @ now, states, read @ before]), kept])
-    Cy, Dyu = linalg.block_diag(posed.Cy, np.eye(r)), np.vstack([posed.through, np.zeros((r, m))])
     noise = np.vstack([posed.noise, np.zeros((r, posed.noise.shape[1]))])
-    return SampledLoop.of_law(wide, Cy, Dyu, larger, posed.pieces, noise)
+    return SampledLoop.of_law(wide, larger, posed.pieces, noise)
 
 
 def _posed(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
     """Returns the sampled-data problem of measured signals, with the rms noise of each, if there is one."""
     Cy, through = measurements(vehicle.without_integrals, measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(noise) if any(noise) else None
-    return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(period, vehicle.implementation.delay), rms)
+    plant = replace(plant_as_built(vehicle), Cy=Cy, Dyu=through)
+    return SampledDataProblem(plant, hold_intervals(period, vehicle.implementation.delay), rms)
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
@@ -132,11 +134,10 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     Cy, through = measurements(vehicle.without_integrals, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, model = plant_as_built(vehicle), vehicle.linear_model
     felt = model.Dw[[model.outputs.index(name) for name in controller.measured]]
-    Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))]) if felt.any() else None
-    plant, G = on_larger_plant(plant, Cy, controller.law.continuous().fed_back(through), Dyw)
-    return hinf_norm(plant.closed_loop(G)).value
+    Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))])
+    return hinf_norm(replace(plant, Cy=Cy, Dyu=through, Dyw=Dyw).closed(controller.law.continuous())).value
 
 
-def plant_as_built(vehicle: Vehicle) -> GeneralizedPlant:
+def plant_as_built(vehicle: Vehicle) -> Plant:
     """Returns the plant (15) behind its actuators' lag, if they have one; z weights the acting forces."""
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

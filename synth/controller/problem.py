@@ -31,8 +31,8 @@ from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm
 from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.augmented import append, gain, on_larger_plant, with_weights
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.augmented import append, gain, with_weights
+from synth.plant.generalized import Feedback, Plant
 from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
@@ -54,16 +54,16 @@ class JudgedLoop:
         shows: entries of z in which a lasting height shows.
     """
 
-    plant: GeneralizedPlant
+    plant: Plant
     G: Feedback
-    by_itself: GeneralizedPlant
+    by_itself: Plant
     states: tuple[str, ...]
     law_states: int
-    lasting: GeneralizedPlant | None = None
+    lasting: Plant | None = None
     shows: tuple[int, ...] = ()
 
     @property
-    def loop(self) -> GeneralizedPlant:
+    def loop(self) -> Plant:
         """The closed loop from w to z."""
         return self.lasting or self.plant.closed_loop(self.G)
 
@@ -77,13 +77,10 @@ class JudgedLoop:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `feedthrough` u + Dyw w.
+    """The plant and measurements that a controller is designed for and judged with.
 
     Attributes:
-        plant: n states, m inputs, r disturbances, of which loads and then the measurement noises are the last.
-        Cy: shape (q, n).
-        feedthrough: feedthrough from the forces to the measurements, shape (q, m).
-        Dyw: shape (q, r); None without noise and without loads in the measurements.
+        plant: n states, m inputs, q measurements, r disturbances, of which loads and then the measurement noises are the last.
         forces: input by index of each measurement that is a force without lag, and so independent of the state.
         integrated: factors of the readings in each integral that is measured with them, shape (j, q - j); the integrals are the
             last j measurements. None for j = 0.
@@ -95,10 +92,7 @@ class Problem:
         rates: the rates of the heights by states and disturbances of the plant.
     """
 
-    plant: GeneralizedPlant
-    Cy: Array
-    feedthrough: Array
-    Dyw: Array | None = None
+    plant: Plant
     forces: Mapping[int, int] = field(default_factory=dict)
     integrated: Array | None = None
     integrals: tuple[int, ...] = ()
@@ -110,13 +104,14 @@ class Problem:
     @property
     def state_measurements(self) -> list[int]:
         """Indices of the measurements that are not in `forces`."""
-        return [i for i in range(len(self.Cy)) if i not in self.forces]
+        return [i for i in range(len(self.plant.Cy)) if i not in self.forces]
 
-    def select_rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
-        """Returns C_y and Dyw of some of the measurements."""
-        return self.Cy[kept], self.Dyw[kept] if self.Dyw is not None else None
+    @property
+    def of_states(self) -> Plant:
+        """The plant with the measurements C_y x + Dyw w, as designs know it, of those that are not in `forces`."""
+        return self.plant.rows(self.state_measurements).without_feedthrough
 
-    def closed_loop(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
+    def closed_loop(self, law: LinearLaw) -> tuple[Plant, Feedback]:
         """Returns the plant with a law's states, and the law as a gain on it; a discrete law by its Tustin counterpart.
 
         Raises:
@@ -141,14 +136,14 @@ class Problem:
         """
         law = law.continuous()
         if not self.integrals:
-            larger, G = on_larger_plant(self.plant, self.Cy, law.fed_back(self.feedthrough), self.Dyw)
+            larger, G = self.plant.with_law(law)
             judged = JudgedLoop(larger, G, self.plant, self.states, law.states)
             return judged if self.of_heights is None else self._over_datum(judged, self.of_heights)
         from synth.controller.integral_action import integrators_of, on_integrals, settled
 
         kept = integrators_of(law, self.integrated)
-        mine = on_integrals(law, self.integrated, kept).fed_back(self.feedthrough)
-        larger, G = on_larger_plant(self.plant, self.Cy, mine, self.Dyw)
+        mine = on_integrals(law, self.integrated, kept)
+        larger, G = self.plant.with_law(mine)
         lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
         rows = settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
         if rows is None:
@@ -157,7 +152,7 @@ class Problem:
         own = np.setdiff1d(np.arange(len(self.plant.A)), lacking)
         C = larger.C[:, stay] + larger.C[:, lacking] @ rows
         short = replace(larger, A=larger.A[np.ix_(stay, stay)], B=larger.B[stay], Bw=larger.Bw[stay], C=C)
-        p = self.plant
+        p = self.plant.unmeasured
         base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
         return JudgedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
 
@@ -180,21 +175,17 @@ class Problem:
         left = np.abs(F - loop.C @ shift)
         if np.all(left <= RETURNS * size):
             return replace(judged, plant=replace(plant, A=plant.A + shift @ C.T, Bw=plant.Bw + shift @ D.T))
-        lasting = GeneralizedPlant(
+        lasting = Plant.without_inputs(
             A=np.block([[loop.A, E], [C.T, np.zeros((k, k))]]),
-            B=np.zeros((n + k, 0)),
             Bw=np.vstack([loop.Bw, D.T]),
             C=np.hstack([loop.C, F]),
-            D=np.zeros((len(F), 0)),
             Dw=loop.Dw,
         )
         shows = np.flatnonzero(np.any(left > RETURNS * size, axis=1)).tolist()
         return replace(judged, lasting=lasting, shows=tuple(shows))
 
 
-def problem(
-    vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: GeneralizedPlant | None = None
-) -> Problem:
+def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
     """Returns the problem that a controller with these measured signals is designed for and judged with.
 
     Args:
@@ -212,7 +203,7 @@ def problem(
     inputs = vehicle.linear_model.inputs
     at_once = hardware.bandwidth is None
     forces = {i: inputs.index(name) for i, name in enumerate(measured) if at_once and name in inputs}
-    (q, _), (d, r) = Cy.shape, plant.Dw.shape
+    q, r = len(Cy), plant.Dw.shape[1]
     model = vehicle.linear_model.with_integrals(vehicle.integrals)
     rows = [model.outputs.index(name) for name in named]
     felt = _of_loads(model, hardware.loads)[1][rows]
@@ -231,20 +222,15 @@ def problem(
         Cy, of_loads = Cy + more, of_loads + by_twist
     states = plant_states(vehicle, hardware.bandwidth)
     mine, weighed = (tuple(states.index(name) for name in some) for some in (integrated, vehicle.integrals))
-    posed = Problem(
-        plant, Cy, through, of_loads if np.any(of_loads) else None, forces, S, weighed, mine, states, of_heights, rates
-    )
-    if not any(hardware.noise):
-        return posed
-    noisy = [i for i, rms in enumerate(hardware.noise) if rms]
-    k = len(noisy)
-    Dyw = np.hstack([of_loads, np.eye(q, len(measured)) @ np.diag(hardware.noise)[:, noisy]])
-    wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
-    return replace(posed, plant=wide, Dyw=Dyw)
+    plant = replace(plant, Cy=Cy, Dyu=through, Dyw=of_loads)
+    if any(hardware.noise):
+        noisy = [i for i, rms in enumerate(hardware.noise) if rms]
+        plant = plant.with_disturbances(np.eye(q, len(measured)) @ np.diag(hardware.noise)[:, noisy])
+    return Problem(plant, forces, S, weighed, mine, states, of_heights, rates)
 
 
 def _heights_read(
-    vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: GeneralizedPlant
+    vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: Plant
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
     """Returns what measured heights add to Cy and Dyw, and `of_heights` and `rates` of a problem.
 
@@ -261,7 +247,7 @@ def _heights_read(
     return by_height @ held + by_twist @ C[r:], by_twist @ D[r:], integral, (C[:r], D[:r])
 
 
-def road_rates(vehicle: Vehicle, plant: GeneralizedPlant) -> tuple[Array, Array]:
+def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
     """Returns the gain to the road's velocities, and then its warps, of a plant's states and of its disturbances."""
     model, road = vehicle.linear_model, vehicle.road_filter
     roads, n = len(model.disturbances) + len(road_twist_inputs(model)), len(plant.A)
@@ -286,7 +272,7 @@ def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[A
 
 def generalized_plant(
     vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
-) -> GeneralizedPlant:
+) -> Plant:
     """Returns the plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
 
     The states of frequency-dependent weights and of the road filter follow those of the vehicle, of which the forces behind a lag
@@ -309,7 +295,7 @@ def generalized_plant(
     Bl, Dl = _of_loads(model, loads)
     Dl, Dw = (matrix[[model.outputs.index(signal) for signal in weighted]] for matrix in (Dl, model.Dw))
     weights = np.array([[row.weight * row.terms.get(signal, 0.0) for signal in weighted] for row in rows])
-    plant = GeneralizedPlant(
+    plant = Plant(
         A=model.A,
         B=model.B,
         Bw=np.hstack([model.Bw, Br, Bl]),
@@ -339,7 +325,7 @@ def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
     return vehicle.linear_model.behind_lag(bandwidth).with_integrals(vehicle.integrals)
 
 
-def _with_integrals(plant: GeneralizedPlant, vehicle: Vehicle, model: LinearModel) -> GeneralizedPlant:
+def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
     """Returns the plant whose z has the integrals in its filters, of states that it has, too."""
     if not vehicle.integrals:
         return plant

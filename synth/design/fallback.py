@@ -28,15 +28,14 @@ from synth.design.two_step import (
     LARGEST_GAIN,
     NO_GAIN,
     Design,
-    as_measurement_matrix,
+    independently_measured,
     no_gain,
     two_step_design,
     with_redundant_rows,
     zero_l_design,
 )
 from synth.lmi.central_path import CentralPoint
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_inputs
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 
 if TYPE_CHECKING:
@@ -51,16 +50,16 @@ LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not 
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
-def check_stabilisable(plant: GeneralizedPlant, Cy: Array, states: Sequence[str] = ()) -> None:
+def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
     """Raises an InfeasibleError if a single mode, or the poles' sum or product, keeps every static gain from stabilising."""
     reasons = list[str]()
     with contextlib.suppress(InputError):  # units in which an entry is too large: nothing is known against a gain
-        reasons = stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)
+        reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
     if reasons:
         raise InfeasibleError("; ".join(reasons))
 
 
-def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
+def _lost(plant: Plant, steps: Design, largest_gain: float) -> str:
     """Why a design of the two steps is not left at that, in words; empty where it is.
 
     The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
@@ -78,21 +77,19 @@ def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
 
 @numerics()
 def two_steps_or_descent(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
     path: Callable[[], Sequence[CentralPoint]] = tuple,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
     work: "Work | None" = None,
 ) -> Design:
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
     Args:
-        plant, Cy, lower_bound, states: arguments of `two_step_design`.
+        plant: plant with measurements. The two steps ignore their noise, and are one of the starts of a descent.
         path: returns the central path of (22) if it is known already, or raises.
-        Dyw: shape (q, r), if noise is measured: the two steps ignore it, and are one of the starts of a descent.
+        lower_bound, states: arguments of `two_step_design`.
         largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
         work: counts the norms of the descent, as for `descended`.
 
@@ -102,46 +99,43 @@ def two_steps_or_descent(
         DesignError: neither method finds a gain whose certificate holds; the message gives the reason. A certificate may lack a
             bound if rounding leaves no proof, as for the large gains of 60 states.
     """
-    check_inputs(plant)
-    rows, kept = as_measurement_matrix(plant, Cy)
-    check_stabilisable(plant, rows, states)
+    _, _, kept = independently_measured(plant)
+    check_stabilisable(plant, states)
     two_steps = failure = None
     try:
-        two_steps = two_step_design(plant, Cy, path(), lower_bound, states)
-        reason = KNOW_NO_NOISE if Dyw is not None else _lost(plant, two_steps, largest_gain)
+        two_steps = two_step_design(plant, None, path(), lower_bound, states)
+        reason = KNOW_NO_NOISE if np.any(plant.Dyw) else _lost(plant, two_steps, largest_gain)
         if not reason:
             return two_steps
     except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
         reason, failure = (NOT_FROM_THESE if isinstance(error, NoSolutionError) else str(error)), error
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
-    noise = Dyw[kept] if Dyw is not None else None
+    few = plant.rows(kept)
     from synth.design.static import descended
 
     try:
-        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise, work=work)
+        by_descent = descended(few, start, largest_gain, lower_bound, work=work)
         certificate, gain = by_descent.certificate, by_descent.gain
         how = f"by descent on the norm from {by_descent.origin}, with gains up to {largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
         how += f"; {by_descent.stopped}" * bool(by_descent.stopped)
     except InputError as error:
-        left = _known_gain(plant, rows[kept], start, lower_bound, noise)
+        left = _known_gain(few, start, lower_bound)
         if left is None:
             message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
             raise DesignError(f"{message}; reason for the descent: {failure or reason}") from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, but two methods agree on the norm" if certificate.bound is None else ""
     instead = f"designed {how}{unproved}; reason: {reason}"
-    return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(rows), 0.0)
+    return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(plant.Cy), 0.0)
 
 
 @numerics()
 def near_lower_bound(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
 ) -> tuple[Design, str]:
     """Returns the result of `two_steps_or_descent`, or of a descent from there, and a remark on that descent.
@@ -151,7 +145,7 @@ def near_lower_bound(
     unless it takes poles beyond any actuator.
 
     Args:
-        plant, Cy, states, Dyw, largest_gain: arguments of `two_steps_or_descent`.
+        plant, states, largest_gain: arguments of `two_steps_or_descent`.
         lower_bound: lower bound for any controller from these measurements; None: computed for plants of at most 20 states.
 
     Returns:
@@ -160,23 +154,23 @@ def near_lower_bound(
     Raises:
         InputError, InfeasibleError, DesignError: errors of `two_steps_or_descent`.
     """
-    check_stabilisable(plant, Cy, states)
+    check_stabilisable(plant, states)
     below = lower_bound
     if below is None and len(plant.A) <= BOUNDED:
         from synth.lmi.full_order_bound import find_lower_bound
 
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            below = find_lower_bound(plant, Cy, Dyw=Dyw)
+            below = find_lower_bound(plant)
     from synth.design.static import bounded_work
 
     work = bounded_work(plant)
-    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain, work)
+    design = two_steps_or_descent(plant, tuple, below, states, largest_gain, work)
     gap = design.certificate.gap
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     came = f"the two-step method reaches norm {digits(design.certificate.norm.value)}{far}; descent from its gain"
-    lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
+    lower, growth = _refined(plant, design, below, largest_gain, work)
     stopped = f"; {work.text}" if work.over else ""
     if lower is None:
         return design, f"{came} finds no lower norm{stopped}"
@@ -187,31 +181,32 @@ def near_lower_bound(
 
 
 def _refined(
-    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float, work: "Work"
+    plant: Plant, design: Design, below: LowerBound | None, largest_gain: float, work: "Work"
 ) -> tuple[Design | None, float]:
     """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
 
     From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
     """
-    from synth.analysis.bounding import certify_tightly
+    from synth.analysis.bounding import certify_law
     from synth.design.descent.refine import SEEN, WORTH, refine
     from synth.design.static import descended
 
-    kept = [i for i in range(len(Cy)) if i not in design.redundant]
-    rows, start = Cy[kept], design.gain[:, kept]
+    q = len(plant.Cy)
+    kept = [i for i in range(q) if i not in design.redundant]
+    few, start = plant.rows(kept), design.gain[:, kept]
     lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
-    search = partial(descended, plant, rows, replace(design, gain=start), largest_gain, below, work=work)
-    for descend in (partial(refine, plant, rows, start), *(partial(search, most=most) for most in LIMITS)):
+    search = partial(descended, few, replace(design, gain=start), largest_gain, below, work=work)
+    for descend in (partial(refine, few, None, start), *(partial(search, most=most) for most in LIMITS)):
         fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             gain = descend().gain
             grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
-            certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
+            certificate = certify_law(few, static_law(gain), below)
             fast = certificate.beyond_actuators and not design.certificate.beyond_actuators
             price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
             lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
             if lower and not certificate.failures and grown * size <= largest_gain:
-                found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
+                found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, q, 0.0)
                 lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
         gap = lowest.certificate.gap
         if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
@@ -219,21 +214,19 @@ def _refined(
     return lowest if lowest is not design else faster, growth
 
 
-def _known_gain(
-    plant: GeneralizedPlant, Cy: Array, two_steps: Design | str, lower_bound: LowerBound | None, Dyw: Array | None
-) -> tuple[Array, Certificate, str] | None:
+def _known_gain(plant: Plant, two_steps: Design | str, lower_bound: LowerBound | None) -> tuple[Array, Certificate, str] | None:
     """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
 
     def of_two_steps() -> Array | None:
         return two_steps.gain if isinstance(two_steps, Design) else None
 
     def of_zero_l() -> Array | None:
-        return zero_l_design(plant, Cy).gain
+        return zero_l_design(plant).gain
 
     def no_control() -> Array | None:
-        return np.zeros((plant.B.shape[1], len(Cy))) if is_stable(plant.A, plant.dt) else None
+        return np.zeros((plant.B.shape[1], len(plant.Cy))) if is_stable(plant.A, plant.dt) else None
 
-    from synth.analysis.bounding import certify_tightly
+    from synth.analysis.bounding import certify_law
 
     for how, known in (
         ("by the two-step method without changes", of_two_steps),
@@ -243,7 +236,7 @@ def _known_gain(
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             gain = known()
             if gain is not None:
-                certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(gain), Dyw), lower_bound, by_itself=plant)
+                certificate = certify_law(plant, static_law(gain), lower_bound)
                 if not certificate.failures:
                     return gain, certificate, how
     return None

@@ -24,15 +24,14 @@ from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_to
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, StructureSection
 from models.laws.linear import MOST_STATES, LinearLaw, gain_text, states_text, static_law
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
 from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_continuous, check_inputs, measured_with, real_matrix
+from synth.plant.generalized import Plant, check_continuous, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WHERE = "design_feedback:"
@@ -107,7 +106,7 @@ def _law_shown(law: LinearLaw) -> dict[str, str]:
 
 @numerics()
 def design_feedback(
-    plant: GeneralizedPlant,
+    plant: Plant,
     Cy: Array | None = None,
     Dyw: Array | None = None,
     *,
@@ -121,7 +120,7 @@ def design_feedback(
     minimise: Mapping[str, Any] | None = None,
     bounds: Sequence[Mapping[str, Any]] = (),
     tolerance: Mapping[str, float] | None = None,
-    family: Sequence[GeneralizedPlant] = (),
+    family: Sequence[Plant] = (),
     structure: Array | str | None = None,
     pid: Mapping[str, float] | None = None,
     largest_gain: Bound | None = None,
@@ -137,7 +136,7 @@ def design_feedback(
 
     Args:
         plant: n states, m inputs; continuous, or discrete by its dt.
-        Cy: measurements y = C_y x + Dyw w, shape (q, n); every state if it is not given.
+        Cy: measurements y = C_y x + Dyw w, shape (q, n). Default: those of the plant, or without any every state.
         Dyw: shape (q, r); zero where it is not given.
         order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
         design: "lqr", "lqg" or "h2", with the least mean square instead of the least norm.
@@ -190,7 +189,9 @@ def design_feedback(
     own |= {"pid": _plain(pid)} if pid is not None else {}
     heard = "Dyw" if Dyw is not None else "noise" if len(noise) and design != "lqg" else ""
     check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
-    asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
+    check_inputs(plant)
+    plant = plant.measured(Cy if Cy is not None or len(plant.Cy) else np.eye(len(plant.A)), Dyw)
+    asked = _Asked(plant, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
         raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample period; give sample_period in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
@@ -222,7 +223,7 @@ def _parts(
     heard: str,
     sample_period: float | None,
     goals: Mapping[str, Any],
-    family: Sequence[GeneralizedPlant],
+    family: Sequence[Plant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
     """Returns the requested parts of the table, each as it is written."""
@@ -255,41 +256,23 @@ def _distance(certificate: Certificate) -> str:
 class _Asked:
     """A plant with what is measured, checked, and every way to design for it."""
 
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        Cy: object,
-        Dyw: object,
-        noise: Sequence[float],
-        lower_bound: LowerBound | None,
-        states: tuple[str, ...],
-    ) -> None:
-        check_inputs(plant)
+    def __init__(self, plant: Plant, noise: Sequence[float], lower_bound: LowerBound | None, states: tuple[str, ...]) -> None:
         self.plant, self.lower_bound, self.states = plant, lower_bound, states
-        self.Cy, self.Dyw = measured_with(plant, np.eye(len(plant.A)) if Cy is None else Cy, Dyw)
         self.noise = real_matrix([list(noise)], "noise", "(q,)")[0]
-        if len(noise) and (self.noise.shape != (len(self.Cy),) or not np.all(self.noise >= 0)):
+        if len(noise) and (self.noise.shape != (len(plant.Cy),) or not np.all(self.noise >= 0)):
             raise InputError(
-                f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(self.Cy)} numbers from 0 upwards, one for each "
+                f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(plant.Cy)} numbers from 0 upwards, one for each "
                 "measurement"
             )
 
-    @property
-    def loud(self) -> tuple[GeneralizedPlant, Array | None]:
-        """The plant with the noise of the measurements as further disturbances, and its Dyw."""
+    def loud(self, plant: Plant) -> Plant:
+        """Returns a plant with the noise of the measurements as further disturbances."""
         some = self.noise > 0
-        k = int(np.sum(some))
-        if not k:
-            return self.plant, self.Dyw
-        plant, (n, r) = self.plant, self.plant.Bw.shape
-        wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((n, k))]), Dw=np.hstack([plant.Dw, np.zeros((len(plant.C), k))]))
-        of_w = np.zeros((len(self.Cy), r)) if self.Dyw is None else self.Dyw
-        return wide, np.hstack([of_w, np.diag(self.noise)[:, some]])
+        return plant.with_disturbances(np.diag(self.noise)[:, some]) if np.any(some) else plant
 
     def static(self, largest_gain: float) -> FeedbackDesign:
         """A static gain, by the two steps, and by descent from there or in their place."""
-        plant, Dyw = self.loud
-        result, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
+        result, went_on = near_lower_bound(self.loud(self.plant), self.lower_bound, self.states, largest_gain)
         certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
         said = [result.case, f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""]
         why = result.instead or went_on or "the two-step method finds a gain whose certificate holds"
@@ -301,10 +284,10 @@ class _Asked:
         """Returns a law of full order; if none with the least norm is found, that of the least mean square, or a gain."""
         from synth.design.full_order.full_order import full_order_design
 
-        plant, Dyw = self.loud
+        plant = self.loud(self.plant)
         method, why = "Riccati equations for the least norm", 'order = "full"'
         try:
-            given = plant, self.Cy, Dyw, self.lower_bound, self.states
+            given = plant, None, None, self.lower_bound, self.states
             found = full_order_design(*given, stable=stable, fastest_pole=fastest_pole)
             law, certificate, remark = found.law, found.certificate, found.remark
         except InfeasibleError:
@@ -312,27 +295,27 @@ class _Asked:
         except DesignError as error:
             if stable or fastest_pole is not None:
                 raise
-            left = self._instead_of_full(plant, Dyw)
+            left = self._instead_of_full(plant)
             if left is None:
                 raise
             (law, certificate, method), remark = left, ""
             why = f"Riccati equations for the least norm failed: {error}"
         return FeedbackDesign(law, certificate, method, why, remark, certificate.norm.value)
 
-    def _instead_of_full(self, plant: GeneralizedPlant, Dyw: Array | None) -> tuple[LinearLaw, Certificate, str] | None:
+    def _instead_of_full(self, plant: Plant) -> tuple[LinearLaw, Certificate, str] | None:
         from synth.design.full_order.quadratic import h2_design
 
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            h2 = h2_design(plant, self.Cy, Dyw, self.states)
+            h2 = h2_design(plant, states=self.states)
             return h2.law, replace(h2.certificate, below=self.lower_bound), "H2, of full order"
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+            gain = two_steps_or_descent(plant, tuple, self.lower_bound, self.states)
             return static_law(gain.gain), gain.certificate, DESCENT if gain.instead else TWO_STEPS
         return None
 
     def structure(self, section: Mapping[str, Any]) -> LawStructure | None:
         """The structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
-        (q, _), m = self.Cy.shape, self.plant.B.shape[1]
+        q, m = self.plant.Dyu.shape
         measured, corners = [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
         asked = read(WHERE, StructureSection, section, measured=measured, corners=corners)
         with error_in(WHERE):
@@ -342,8 +325,7 @@ class _Asked:
         """A law of a given order or structure, by descent."""
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
-        plant, Dyw = self.loud
-        result = fixed_order_design(plant, self.Cy, Dyw, structure, self.lower_bound, self.states, stable=stable)
+        result = fixed_order_design(self.loud(self.plant), structure, self.lower_bound, self.states, stable)
         why = f"from {result.origin}, for {structure.text}"
         return FeedbackDesign(result.law, result.certificate, DESCENT, why, result.remark, result.certificate.norm.value)
 
@@ -351,10 +333,10 @@ class _Asked:
         """The law of the least mean square."""
         from synth.design.full_order.quadratic import quadratic_design
 
-        plant, Dyw = self.loud if name == "h2" else (self.plant, self.Dyw)
+        plant = self.loud(self.plant) if name == "h2" else self.plant
         check_continuous(plant)
         noise = tuple(self.noise) if name == "lqg" and len(self.noise) else None
-        result = quadratic_design(name, plant, self.Cy, self.states, noise, Dyw)
+        result = quadratic_design(name, plant, self.states, noise)
         certificate = replace(result.certificate, below=self.lower_bound)
         how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
         return FeedbackDesign(result.law, certificate, how, f'design = "{name}"', result.remark, result.h2_norm, "H2 norm")
@@ -362,26 +344,25 @@ class _Asked:
     def sampled(self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None) -> FeedbackDesign:
         """A gain or a law for the loop that a computer closes."""
         check_continuous(self.plant)
-        if self.Dyw is not None:
+        if np.any(self.plant.Dyw):
             raise InputError(
                 f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
             )
         from synth.design.static import bounded_work
 
-        if reasons := stabilisability_failures(self.plant, self.Cy, self.states):
+        if reasons := stabilisability_failures(self.plant, self.states):
             raise InfeasibleError("; ".join(reasons))
-        (q, _), m = self.Cy.shape, self.plant.B.shape[1]
         rms = self.noise if np.any(self.noise) else None
-        problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
-        plant, Dyw = self.loud
+        problem = SampledDataProblem(self.plant, hold_intervals(period, delay), rms)
+        plant = self.loud(self.plant)
         known, near, work = list[Array](), 1.0, bounded_work(self.plant)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             if full:
                 from synth.lmi.full_order_bound import find_lower_bound
 
-                near = (self.lower_bound or find_lower_bound(plant, self.Cy, Dyw=Dyw)).gamma or 1.0
+                near = (self.lower_bound or find_lower_bound(plant)).gamma or 1.0
             else:
-                ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, work=work)
+                ideal = two_steps_or_descent(plant, tuple, self.lower_bound, self.states, work=work)
                 known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         from synth.lmi.sampled_bound import find_sampled_bound
 
@@ -412,7 +393,7 @@ class _Asked:
                 if gain.instead
                 else "the two-step method finds a gain of this sampled norm"
             )
-        certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
+        certificate = certify_law(plant, law.continuous(), self.lower_bound)
         said = [remark, "the certificate is that of the ideal loop, without sampling and delay"]
         return FeedbackDesign(
             law,
@@ -425,19 +406,21 @@ class _Asked:
             None if bound is None else bound.level,
         )
 
-    def for_goals(self, section: Mapping[str, Any], family: Sequence[GeneralizedPlant]) -> FeedbackDesign:
+    def for_goals(self, section: Mapping[str, Any], family: Sequence[Plant]) -> FeedbackDesign:
         """A gain for goals, of the plant and of a family."""
         from synth.design.multi_objective.plant_goals import goals_of_plants
         from synth.design.multi_objective.two_step_starts import remarks, run_search, with_individual_optima
 
-        plant, Dyw = self.loud
-        plants = [plant, *(_Asked(each, self.Cy, self.Dyw, tuple(self.noise), None, ()).loud[0] for each in family)]
-        goals, problem = goals_of_plants(WHERE, section, plants, self.Cy, Dyw)
+        for each in family:
+            check_inputs(each)
+        own = self.plant
+        plants = [self.loud(each) for each in (own, *(each.measured(own.Cy, own.Dyw) for each in family))]
+        goals, problem = goals_of_plants(WHERE, section, plants)
         for each in plants:
-            check_stabilisable(each, self.Cy, self.states)
+            check_stabilisable(each, self.states)
         result = run_search(with_individual_optima(problem) if goals.over == REGRET else problem)
         law, notes = static_law(result.gain), [*remarks(result)]
-        certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law, Dyw), self.lower_bound, by_itself=plant)
+        certificate = certify_law(plants[0], law, self.lower_bound)
         if unproved := result.unproved:
             notes.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")
         over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"

@@ -27,11 +27,10 @@ from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_m
 from synth.lmi.sdp import first_step, second_step, together
 from synth.plant.generalized import (
     Feedback,
-    GeneralizedPlant,
+    Plant,
     check_continuous,
     check_inputs,
     check_posed,
-    measurement_matrices,
     real_matrix,
 )
 from synth.plant.numerics import DesignError, numerics
@@ -72,7 +71,7 @@ class SlackDesign:
 
 @numerics()
 def slack_design(
-    plants: Sequence[GeneralizedPlant],
+    plants: Sequence[Plant],
     Cys: Sequence[Array],
     structure: Array | None = None,
     f: Sequence[float] = (0.1, 0.3, 1.0),
@@ -101,11 +100,11 @@ def slack_design(
         >>> design.gain.shape, f"{design.worst:.3f}"
         ((1, 1), '0.333')
     """
-    Cys, allowed = _checked(plants, Cys, structure, f)
-    n, m = plants[0].B.shape
+    posed, allowed = _checked(plants, Cys, structure, f)
+    n, m = posed[0].B.shape
     fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "the one with a slack variable")
-    rows = independent_rows(plants[0], Cys[0])
-    problem = _Problem(plants, [Cy[rows] for Cy in Cys], allowed[:, rows])
+    rows = independent_rows(posed[0])
+    problem = _Problem([plant.rows(rows) for plant in posed], allowed[:, rows])
     candidates: list[tuple[float, float, float, Array]] = []
     failures: list[DesignError] = []
     for each in f:
@@ -116,15 +115,15 @@ def slack_design(
             continue
         gain = np.zeros(allowed.shape)
         gain[:, rows] = K
-        norms = [hinf_norm(plant.closed_loop(Feedback(gain, Cy))).value for plant, Cy in zip(plants, Cys, strict=True)]
+        norms = [hinf_norm(plant.closed_loop(Feedback(gain, plant.Cy))).value for plant in posed]
         candidates.append((max(norms), each, bound, gain))
-    redundant = tuple(i for i in range(len(Cys[0])) if i not in rows)
+    redundant = tuple(i for i in range(len(posed[0].Cy)) if i not in rows)
     best: list[SlackDesign] = []
     for worst, each, bound, gain in sorted(candidates, key=lambda one: one[0]):
         if not np.isfinite(worst):
             failures.append(DesignError(f"with f = {each:g} the gain that Clarabel proposes leaves a plant unstable"))
             continue
-        certificates = tuple(certify_tightly(plant, Feedback(gain, Cy)) for plant, Cy in zip(plants, Cys, strict=True))
+        certificates = tuple(certify_tightly(plant, Feedback(gain, plant.Cy)) for plant in posed)
         failed = [failure for certificate in certificates for failure in certificate.failures]
         if failed:
             failures.append(DesignError(f"the certificate fails: {failed[0]}"))
@@ -138,51 +137,50 @@ def slack_design(
 
 
 def _checked(
-    plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
-) -> tuple[list[Array], Array]:
-    """Returns the checked C_y of each plant, and the structure of K as bools, shape (m, q)."""
+    plants: Sequence[Plant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
+) -> tuple[list[Plant], Array]:
+    """Returns the plants with their measurements after a check, and the structure of K as bools, shape (m, q)."""
     if not plants or len(plants) != len(Cys):
         raise InputError(f"Cys has {len(Cys)} matrices for {len(plants)} plants; give at least one plant, and one C_y for each")
     for plant in plants:
         check_inputs(plant)
         check_continuous(plant)
         check_posed(plant)
-    checked = [measurement_matrices(plant, Cy)[0] for plant, Cy in zip(plants, Cys, strict=True)]
-    for i, (plant, Cy) in enumerate(zip(plants, checked, strict=True)):
-        if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
+    posed = [plant.measured(Cy) for plant, Cy in zip(plants, Cys, strict=True)]
+    (n, m), q = posed[0].B.shape, len(posed[0].Cy)
+    for i, plant in enumerate(posed):
+        if plant.B.shape != (n, m) or len(plant.Cy) != q:
             raise InputError(
-                f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(Cy)}, plant 0 has n = "
-                f"{len(plants[0].A)}, m = {plants[0].B.shape[1]} and q = {len(checked[0])}; a common gain needs equal n, m and q"
+                f"plant {i} has n = {len(plant.A)}, m = {plant.B.shape[1]} and q = {len(plant.Cy)}, plant 0 has n = {n}, m = {m} "
+                f"and q = {q}; a common gain needs equal n, m and q"
             )
     (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 such as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):
         raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, such as 0.1, 0.3 and 1")
-    shape = plants[0].B.shape[1], len(checked[0])
+    shape = m, q
     pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
     if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
         raise InputError(
             f"the structure has shape {pattern.shape}; expected {shape}, a row for each input and a column for each "
             "measurement, with 1 where the gain may be other than zero, and 0 elsewhere"
         )
-    return checked, pattern.astype(bool)
+    return posed, pattern.astype(bool)
 
 
 class _Problem:
     """A family in units in which all numbers of the first plant have size one, and all measure the same."""
 
-    def __init__(self, plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], pattern: Array) -> None:
-        units = own_units(plants[0], Cys[0])
+    def __init__(self, plants: Sequence[Plant], pattern: Array) -> None:
+        units = own_units(plants[0], measured=True)
         self.rate, self.pattern, self.input_units = units.rate, pattern, units.inputs
-        self.lengths = np.linalg.norm(Cys[0] * units.states, axis=1)
-        rows = [Cy * units.states / self.lengths[:, None] for Cy in Cys]
         own = [units.into(plant) for plant in plants]
+        self.lengths = np.linalg.norm(own[0].Cy, axis=1)
         states = reachable(own[0], 0)
-        self.Cy = rows[0] @ states
-        self.plants = [plant.in_coordinates(states @ self.alike(C_i @ states)) for plant, C_i in zip(own, rows, strict=True)]
-
-    def alike(self, C_i: Array) -> Array:
-        """Coordinates in which a plant that measures C_i measures as the first, shape (n, n): C_i T = C_y."""
-        return np.eye(C_i.shape[1]) - np.linalg.pinv(C_i) @ (C_i - self.Cy)
+        rows = [plant.Cy / self.lengths[:, None] @ states for plant in own]
+        self.Cy = rows[0]
+        # Coordinates T in which a plant that measures C_i measures as the first: C_i T = C_y.
+        alike = [np.eye(len(states)) - np.linalg.pinv(C_i) @ (C_i - self.Cy) for C_i in rows]
+        self.plants = [plant.in_coordinates(states @ T).measured(self.Cy) for plant, T in zip(own, alike, strict=True)]
 
     def two_steps(self, f: float) -> tuple[Array, float]:
         """Returns the gain in the given units, and Clarabel's bound."""
@@ -190,7 +188,7 @@ class _Problem:
         blocks = together(self.pattern)
         eye = np.eye(n)
         scaled = NormalisedSystem(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
-        W = scaled.T @ first_step(scaled.plants, SOLVED_AT, self.Cy @ scaled.T, blocks).W @ scaled.T.T
+        W = scaled.T @ first_step(scaled.plants, SOLVED_AT, blocks).W @ scaled.T.T
         Q = nullspace(self.Cy)
         R = r_matrix(self.Cy, Q, l_matrix(W.T, self.Cy, Q))
         scaled, a = NormalisedSystem(self.plants, rate, Q, R, blocks), Q.shape[1]

@@ -40,7 +40,7 @@ from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
-from synth.plant.generalized import GeneralizedPlant, on_all_rows
+from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError, numerics
 from synth.plant.units import own_units
 
@@ -69,7 +69,7 @@ def descended(problem: SampledDataProblem, known: Sequence[Array], near: float, 
         near: a guess of the norm.
         work: counts the norms.
     """
-    nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
+    nothing = np.zeros((problem.plant.B.shape[1], len(problem.plant.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
     line.insert(len(line) // 2, nothing)
     norms = [norm_of(problem, K, near) for K in line]
@@ -92,7 +92,7 @@ def searched(problem: SampledDataProblem, level: float, known: Array | None, wor
     """
     plant = problem.at(level)
     assert plant is not None
-    search = GainSearch(plant, problem.rows, LARGEST_GAIN, 0.0, problem.Dyw(level), work=work)
+    search = GainSearch(plant, LARGEST_GAIN, 0.0, work=work)
     candidates = search.starts()
     if known is not None:
         candidates += search.admitted(search.landscape.point(known), "a known gain")
@@ -109,8 +109,7 @@ def down(problem: SampledDataProblem, K: Array, norm: float, work: Work | None =
         plant = problem.at(norm)
         if plant is None:
             break
-        Cy, Dyw = problem.rows, problem.Dyw(norm)
-        moved = lowered(Landscape(plant, Cy, Dyw, work=work), plant, Cy, K, Dyw).gain
+        moved = lowered(Landscape(plant, work=work), plant, K).gain
         reached = norm_of(problem, moved, norm)
         if not reached < norm:
             break
@@ -131,13 +130,13 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
         raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
-    rows = independent_rows(plant, problem.rows)
+    rows = independent_rows(plant)
     few = problem.of(rows)
-    start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
+    start = from_some(K, np.hstack([problem.plant.Cy, problem.plant.Dyu]), rows)
     moved, after = down(few, start, before)
     last = problem.at(after)
-    refused = refine(last, few.rows, moved, few.Dyw(after)).refused if last is not None else None
-    landscape = Landscape(plant, few.rows, few.Dyw(before))
+    refused = refine(last, None, moved).refused if last is not None else None
+    landscape = Landscape(plant.rows(rows))
     sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
     gain = np.zeros_like(K)
     gain[:, rows] = moved
@@ -207,16 +206,17 @@ def held_design(
     if slow is None:
         within = f"within {1000.0 * problem.period:g} ms without a new force the gain from w is above {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
-    rows = independent_rows(slow, problem.rows)
+    rows = independent_rows(slow)
     few = problem.of(rows)
-    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), rows) for K in known]
+    of_kept = [from_some(K, np.hstack([problem.plant.Cy, problem.plant.Dyu]), rows) for K in known]
     try:
         K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
     except DesignError as error:
-        if reasons := "; ".join(stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)):
+        slow = slow.rows(rows)
+        if reasons := "; ".join(stabilisability_failures(slow) or static_feedback_obstructions(slow)):
             raise InfeasibleError(reasons) from error
         raise
-    gain = on_all_rows(K, rows, len(problem.Cy))
+    gain = on_all_rows(K, rows, len(problem.plant.Cy))
     return SampledDataDesign(gain, norm, level, tuple(rows), instead)
 
 
@@ -239,7 +239,7 @@ def _gain(
         norm = norm_of(problem, K, near)
     except DesignError as error:
         failure = error
-    nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
+    nothing = np.zeros((problem.plant.B.shape[1], len(problem.plant.Cy)))
     others = {"the continuous design": known, "no control": [nothing]}
     least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
     if K is not None and np.isfinite(norm):
@@ -299,7 +299,7 @@ def _may_fall(problem: SampledDataProblem, norm: float) -> bool:
     if plant is None:
         return bool(np.isinf(norm))
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        return find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(norm * (1 - LITTLE))).gamma < 1
+        return find_lower_bound(plant).gamma < 1
     return True
 
 
@@ -324,7 +324,7 @@ def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None)
     tries.add(_follows(path[-1].X, rows))
     if undelayed is not None:
         _, of_state = _level(problem.at_once, state_path, level)
-        both = np.vstack([_follows(of_state[-1].X, problem.Cy), *[undelayed] * problem.remembered])
+        both = np.vstack([_follows(of_state[-1].X, problem.plant.Cy), *[undelayed] * problem.remembered])
         tries.add(both @ np.linalg.inv(rows @ both))
     for start in reversed(path[:-1]):
         if not tries.found:
@@ -352,7 +352,7 @@ class _Tries:
         level = self.level
         for slack in (False, True):
             try:
-                level, (point,) = _level(self.problem, lambda plant, on=slack: [_second(plant, self.problem.rows, R, on)], level)
+                level, (point,) = _level(self.problem, lambda plant, on=slack: [_second(plant, R, on)], level)
                 self.found.append((level, point))
             except DesignError as error:
                 self.failures.append(error)
@@ -365,18 +365,19 @@ def _follows(X: Array, rows: Array) -> Array:
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
-def _second(plant: GeneralizedPlant, rows: Array, R: Array, slack: bool) -> CentralPoint:
-    """The second step with an R, of which rows R = I: (25), or on from the first of its path with a slack variable."""
-    units = own_units(plant, rows)
-    own, (basis, measured) = units.into(plant), units.rows(rows)
+def _second(plant: Plant, R: Array, slack: bool) -> CentralPoint:
+    """The second step with an R, of which C_y R = I: (25), or on from the first of its path with a slack variable."""
+    units = own_units(plant, measured=True)
+    basis, measured = units.rows(plant.Cy)
+    own = units.into(plant).measured(basis)
     Q = nullspace(basis)
     L = np.linalg.pinv(Q) @ (R @ measured / units.states[:, None])
-    path = slack_path(own, basis, output_feedback(own, basis, L, Q, ENTERED)[-1]) if slack else output_feedback(own, basis, L, Q)
+    path = slack_path(own, output_feedback(own, L, Q, ENTERED)[-1]) if slack else output_feedback(own, L, Q)
     return path[-1].in_units(units.states, units.inputs, measured)
 
 
 def _level(
-    problem: SampledDataProblem, path: Callable[[GeneralizedPlant], list[CentralPoint]], start: float
+    problem: SampledDataProblem, path: Callable[[Plant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
     """The level for whose plant a path ends at a norm of 1, and that path.
 

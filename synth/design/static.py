@@ -26,7 +26,7 @@ from models.common.arrays import Array
 from models.common.checks import Bound
 from models.common.errors import InputError
 from models.laws.linear import static_law
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
@@ -39,8 +39,7 @@ from synth.design.descent.starts import around, projected_starts, stabilising_st
 from synth.design.descent.symmetry import Symmetry
 from synth.design.two_step import LARGEST_GAIN, Design, no_gain, two_step_design
 from synth.lmi.output_feedback import independent_rows
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, on_all_rows
+from synth.plant.generalized import Plant, check_inputs, on_all_rows
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
@@ -102,15 +101,15 @@ class Candidate(NamedTuple):
 Descent = Callable[[Array, int], Array]
 
 
-def bounded_work(plant: GeneralizedPlant) -> Work:
+def bounded_work(plant: Plant) -> Work:
     """Returns the work that the search for one controller of a plant may do; more for plants of more than 8 states."""
     return Work(LIMIT * max(1.0, price(len(plant.A), 0)))
 
 
 @numerics()
 def static_output_feedback(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
+    Cy: Array | None = None,
     largest_gain: Bound = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
@@ -120,7 +119,7 @@ def static_output_feedback(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n); rows that follow from others get a gain of zero.
+        Cy: shape (q, n), the plant's own if it is not given; rows that follow from others get a gain of zero.
         largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
@@ -143,24 +142,23 @@ def static_output_feedback(
         ((1, 1), '0.2500')
     """
     check_inputs(plant)
-    Cy, Dyw = measured_with(plant, Cy, Dyw)
-    rows = independent_rows(plant, Cy)
+    plant = plant.measured(Cy, Dyw)
+    rows = independent_rows(plant)
+    few = plant.rows(rows)
     try:
-        two_steps = two_step_design(plant, Cy[rows])
+        two_steps = two_step_design(few)
     except InputError as error:
         two_steps = str(error)
-    found = descended(plant, Cy[rows], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[rows], rival)
-    return replace(found, gain=on_all_rows(found.gain, rows, len(Cy)))
+    found = descended(few, two_steps, largest_gain, lower_bound, rival)
+    return replace(found, gain=on_all_rows(found.gain, rows, len(plant.Cy)))
 
 
 @numerics()
 def descended(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
     two_steps: Design | str,
     largest_gain: float = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
-    Dyw: Array | None = None,
     rival: float = np.inf,
     most: float = np.inf,
     work: Work | None = None,
@@ -168,15 +166,13 @@ def descended(
     """Designs a static gain by descents, given the result of the two steps or the reason of their failure.
 
     Args:
-        plant, Cy, largest_gain, lower_bound, Dyw, rival: arguments of `static_output_feedback`.
+        plant, largest_gain, lower_bound, rival: arguments of `static_output_feedback`.
         two_steps: result of the two steps, or the reason why they found no gain.
         most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
         work: counts the norms, those of several searches; `bounded_work` if it is not given.
     """
     work = bounded_work(plant) if work is None else work
-    search = GainSearch(
-        plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw, rival=rival, work=work
-    )
+    search = GainSearch(plant, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, rival=rival, work=work)
     search.limit = np.minimum(search.limit, most)
     candidates = search.starts()
     starts = len(candidates)
@@ -188,7 +184,7 @@ def descended(
     best = search.widened(search.best(candidates))
     K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
-    certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
+    certificate = certify_law(plant, static_law(K), lower_bound)
     return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
 
 
@@ -205,12 +201,9 @@ class GainSearch:
 
     def __init__(
         self,
-        plant: GeneralizedPlant,
-        Cy: Array,
+        plant: Plant,
         largest_gain: float,
         beaten_by_none: float,
-        Dyw: Array | None = None,
-        through: Array | None = None,
         structure: Array | None = None,
         alike: Callable[[Landscape], Alike] = Symmetry,
         enough: float = REACHED,
@@ -220,29 +213,25 @@ class GainSearch:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
         beaten_by_none: lower bound for controllers of this kind; 0 for none.
-        Dyw, through, structure: arguments of `Landscape`.
+        structure: argument of `Landscape`.
         alike: returns the gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
         rival: argument of `static_output_feedback`.
         work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
         """
-        self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
-        self.rival = rival
-        self.through = None if through is None or not np.any(through) else through
-        self.landscape = Landscape(plant, Cy, Dyw, self.through, structure, work)
+        self.plant, self.beaten_by_none, self.enough, self.rival = plant, beaten_by_none, enough, rival
+        self.landscape = Landscape(plant, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.symmetry = alike(self.landscape)
-        self.nothing = ZERO * (
-            float(np.linalg.norm(self.landscape.Dw, 2))
-            + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
-        )
+        own = self.landscape.plant
+        self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
 
     def refined(self, two_steps: Design) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""
         if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * BEHIND[0]:
             return self.admitted(self.landscape.point(two_steps.gain), "the two steps")
         try:
-            gain = refine(self.plant, self.Cy, two_steps.gain, self.Dyw).gain
+            gain = refine(self.plant, None, two_steps.gain).gain
         except DesignError:  # stable by its proof, but for the landscape's rounding not
             return []
         return self.admitted(self.landscape.point(gain), "the two steps, refined")
@@ -295,9 +284,7 @@ class GainSearch:
 
     def own_norm(self, K: Array) -> float:
         """The norm of a gain's loop by two routes; infinite where it is not stable."""
-        law = static_law(K) if self.through is None else static_law(K).fed_back(self.through)
-        plant, G = on_larger_plant(self.plant, self.Cy, law, self.Dyw)
-        loop = plant.closed_loop(G)
+        loop = self.plant.closed(static_law(K))
         return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
     def raced(self, candidates: list[Candidate]) -> Candidate:

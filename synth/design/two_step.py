@@ -25,7 +25,7 @@ from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
 from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, check_states, measurement_matrices, on_all_rows
+from synth.plant.generalized import Feedback, Plant, check_inputs, check_states, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import own_units, size
 
@@ -43,7 +43,7 @@ class WellPosedProblem:
         best_case: degeneracy that makes that gain optimal, in words.
     """
 
-    plant: GeneralizedPlant
+    plant: Plant
     case: str = ""
     best: Array | None = None
     best_case: str = ""
@@ -54,13 +54,14 @@ class WellPosedProblem:
 
 
 @functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
-def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
+def well_posed(plant: Plant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
 
     Raises:
         InputError: the plant has no state.
     """
     check_states(len(plant.A))
+    plant = plant.unmeasured
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return WellPosedProblem(plant)  # bad input, and the central path says so
     scale, forces = own_units(plant).exact
@@ -90,7 +91,7 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     return WellPosedProblem(beside, text, best if stable else None, f"with this gain w {how}")
 
 
-def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
+def unpenalised_inputs(plant: Plant) -> list[str]:
     """Returns a message if a control force costs nothing, as (22) then has no optimum; empty otherwise."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
@@ -104,7 +105,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
     return []
 
 
-def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
+def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
     """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
@@ -138,7 +139,7 @@ def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] =
     return []
 
 
-def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant, Array]:
+def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
     """Returns coordinates (n, k) and plant of the part that `unseen` leaves for (22), and the gain that hides the rest."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
@@ -155,13 +156,13 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
 
-def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
+def _disturbed(plant: Plant, where: Array) -> Plant:
     """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
 
-def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forces: Array) -> GeneralizedPlant:
+def _counting(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
     """With every state and every input in z, each in its own size, where the plant itself is `own`."""
     n, m = plant.B.shape
     weight = size(own.C)
@@ -220,7 +221,7 @@ class Design(Shown):
 
 
 @numerics()
-def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
+def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
     """Returns the central path of (22), or of a regularised problem if that has no optimum, in the plant's own units.
 
     Raises:
@@ -228,12 +229,13 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or the path
             could not be followed; the message gives the reason.
     """
+    plant = plant.unmeasured
     problem, own = well_posed(plant).plant, own_units(plant)
     modes = unobservable_marginal_modes(problem, states)
     if modes:  # a path without an end may be followed for a while
         from synth.analysis.stability import stabilisability_failures
 
-        if reached_by_none := "; ".join(stabilisability_failures(plant, None, states)):
+        if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reached_by_none)
         raise DesignError(modes[0])
     try:
@@ -241,7 +243,7 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
     except NoSolutionError as error:
         from synth.analysis.stability import stabilisability_failures
 
-        if reasons := "; ".join(stabilisability_failures(plant, None, states)):
+        if reasons := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reasons) from error
         raise
     except DesignError as error:
@@ -249,7 +251,7 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 
 @numerics()
-def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> Design:
+def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> Design:
     """Returns the state feedback, the optimum of (22).
 
     Args:
@@ -259,17 +261,15 @@ def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), low
     Raises:
         InfeasibleError, DesignError: errors of `state_path`, or no certificate holds.
     """
-    problem, everything = well_posed(plant), np.eye(len(plant.A))
+    problem, measured = well_posed(plant), plant.measured(np.eye(len(plant.A)))
     if problem.best is not None:
         from synth.analysis.bounding import certify_tightly
 
         return Design(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
-    return replace(last_certified_gain(plant, everything, path or state_path(plant), lower_bound), case=problem.case)
+    return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def last_certified_gain(
-    plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None
-) -> Design:
+def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
     """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
 
     Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
@@ -282,7 +282,7 @@ def last_certified_gain(
     for i in reversed(range(len(path))):
         point = path[i]
         X = point.X if point.proof is None else point.proof
-        certificate = certify(plant, Feedback(point.K, Cy), X, point.eta, lower_bound)
+        certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
         if not certificate.failures:
             before = path[max(i - 1, 0)].K
             moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
@@ -299,7 +299,7 @@ def last_certified_gain(
     from synth.analysis.bounding import certify_tightly
 
     # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
-    another = certify_tightly(plant, Feedback(path[-1].K, Cy), lower_bound)
+    another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return Design(path[-1].K, another)
     raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
@@ -307,8 +307,8 @@ def last_certified_gain(
 
 @numerics()
 def two_step_design(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
+    Cy: Array | None = None,
     path: Sequence[CentralPoint] = (),
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
@@ -320,7 +320,7 @@ def two_step_design(
 
     Args:
         plant: n states, m inputs.
-        Cy: measurements y = C_y x, shape (q, n). Rows that depend on others are omitted and listed in the result.
+        Cy: measurements y = C_y x, shape (q, n); the plant's own by default. The result lists rows that depend on others.
         path: the central path of (22); computed if empty.
         lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
@@ -341,10 +341,10 @@ def two_step_design(
         >>> design.gain.shape, f"{design.certificate.norm.value:.4f}", design.certificate.failures
         ((1, 1), '0.2500', ())
     """
-    Cy, kept = as_measurement_matrix(plant, Cy)
-    problem = well_posed(plant)
-    units = own_units(plant, Cy)
-    rows, measured = units.rows(Cy[kept])
+    plant, few, kept = independently_measured(plant if Cy is None else plant.measured(Cy))
+    problem, q = well_posed(plant), len(plant.Cy)
+    units = own_units(plant, measured=True)
+    rows, measured = units.rows(few.Cy)
     if problem.best is not None:
         G = problem.best * units.states
         on_rows = G @ rows.T
@@ -352,22 +352,22 @@ def two_step_design(
             from synth.analysis.bounding import certify_tightly
 
             K = np.linalg.solve(measured.T, on_rows.T).T
-            best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
-            return with_redundant_rows(best, kept, len(Cy), 0.0)
+            best = Design(K, certify_tightly(few, Feedback(K, few.Cy), lower_bound), case=problem.best_case)
+            return with_redundant_rows(best, kept, q, 0.0)
     fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
-    own, Q = units.into(problem.plant), nullspace(rows)
+    own, Q = units.into(problem.plant).measured(rows), nullspace(rows)
     failures: list[DesignError] = []
     beyond: list[Design] = []
     for start in reversed(path):
         try:
             L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
-            points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, rows, L, Q)]
-            found = last_certified_gain(plant, Cy[kept], points, lower_bound)
+            points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, L, Q)]
+            found = last_certified_gain(few, points, lower_bound)
         except DesignError as error:
             failures.append(error)
             continue
-        found = with_redundant_rows(replace(found, case=problem.case), kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        found = with_redundant_rows(replace(found, case=problem.case), kept, q, start.gamma / path[-1].gamma - 1)
         if not found.certificate.beyond_actuators:
             return found
         beyond.append(found)
@@ -375,7 +375,7 @@ def two_step_design(
         return min(beyond, key=lambda design: design.certificate.speed_up)
     from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
-    if reasons := "; ".join(stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)):
+    if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
     first, *_ = [*broken, *failures]  # only where none has a solution that is the reason
@@ -383,24 +383,24 @@ def two_step_design(
 
 
 @numerics()
-def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
+def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> Design:
     """Remark 4: (25) with L = 0, in one step."""
-    Cy, kept = as_measurement_matrix(plant, Cy)
-    problem, units = well_posed(plant), own_units(plant, Cy)
-    rows, measured = units.rows(Cy[kept])
+    plant, few, kept = independently_measured(plant)
+    problem, units = well_posed(plant), own_units(plant, measured=True)
+    rows, measured = units.rows(few.Cy)
     Q = nullspace(rows)
-    points = output_feedback(units.into(problem.plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
+    points = output_feedback(units.into(problem.plant).measured(rows), np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
-    return with_redundant_rows(
-        replace(last_certified_gain(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0
-    )
+    design = replace(last_certified_gain(few, path, lower_bound), case=problem.case)
+    return with_redundant_rows(design, kept, len(plant.Cy), 0.0)
 
 
-def as_measurement_matrix(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
-    """C_y, checked, and which of its rows do not follow from those before them, for a plant with inputs."""
+def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
+    """Returns a plant that measures y = C_y x alone, the same with independent rows, and the indices of these rows."""
     check_inputs(plant)
-    Cy = measurement_matrices(plant, Cy)[0]
-    return Cy, independent_rows(plant, Cy)
+    plant = plant.measured(plant.Cy)
+    kept = independent_rows(plant)
+    return plant, plant.rows(kept), kept
 
 
 def with_redundant_rows(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:

@@ -32,7 +32,7 @@ from synth.analysis.certificate import bounded_real_matrix
 from synth.lmi.barrier import Barrier, Derivatives, Factored, Raised, boundary, newton
 from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
 from synth.lmi.unobservable import UnobservableReduction, remove_unobservable
-from synth.plant.generalized import GeneralizedPlant, check_posed, fed_back
+from synth.plant.generalized import Plant, check_posed, fed_back
 from synth.plant.numerics import DesignError, NoSolutionError, TooLargeError
 from synth.plant.units import reachable, size
 
@@ -96,7 +96,7 @@ class CentralPoint:
         return replace(self, X=square * self.X, K=K, proof=proof)
 
 
-def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
+def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
     """Returns points along the central path of (25), or of (22) with an empty Q and R = I. The last is the design.
 
     Args:
@@ -116,7 +116,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
     return list(along_path(plant, Q, R, mu))
 
 
-def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float) -> Iterator[CentralPoint]:
+def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralPoint]:
     """Yields the points of `central_path` one by one, so that the first ones are available if the last cannot be reached."""
     if plant.dt is None:
         yield from _in_differences(plant, Q, R, mu, 0.0)
@@ -125,7 +125,7 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float) -> Iterat
             yield replace(point, X=plant.dt * point.X, proof=None if point.proof is None else plant.dt * point.proof)
 
 
-def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
+def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
     """Yields the points for a plant in differences over a step; a step of 0 means a continuous plant."""
     check_posed(plant)
     if not len(plant.A):
@@ -165,7 +165,7 @@ def _put_back(part: UnobservableReduction, point: CentralPoint) -> CentralPoint:
         raise DesignError(f"rounding prevents an X for the states unobservable in z ({error}); give other units") from error
 
 
-def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
+def unknowns(plant: Plant, free: int = 0) -> int:
     """Returns the number of unknowns of (22), or of (25) with `free` columns of Q."""
     n, m = len(plant.A), plant.independent_inputs().shape[1]
     q = n - free
@@ -183,7 +183,7 @@ def fits(count: int, most: int, what: str) -> None:
 class _Path:
     """The current point of a central path, and its coordinates."""
 
-    def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> None:
+    def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
         # Inputs without effect stay zero, and linearly dependent inputs share their effect.
@@ -211,7 +211,7 @@ class _Path:
         self.eta = 0.0
 
     @property
-    def plant(self) -> GeneralizedPlant:
+    def plant(self) -> Plant:
         """The plant in the current coordinates."""
         return self.basis.plant
 

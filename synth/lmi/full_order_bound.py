@@ -22,7 +22,7 @@ from synth.analysis.rigorous import floats
 from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
-from synth.plant.generalized import GeneralizedPlant, measurement_matrices
+from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics, up_to_rounding
 from synth.plant.units import nearest_power, own_units, size
 
@@ -36,7 +36,7 @@ ENTER = 1e2  # mu / t at the start of the joint path
 
 @numerics()
 def find_lower_bound(
-    plant: GeneralizedPlant,
+    plant: Plant,
     Cy: Matrix | None = None,
     path: Sequence[CentralPoint] = (),
     beyond_control: LowerBound | None = None,
@@ -46,8 +46,8 @@ def find_lower_bound(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n): the bound is for output feedback from y = C_y x + Dyw w, of any order. Without it, the bound is for
-            state feedback; it also holds for output feedback, whose bound is never lower.
+        Cy: shape (q, n): the bound is for output feedback from y = C_y x + Dyw w, of any order. Without it, that of the plant
+            counts. Without any, the bound is for state feedback; it also holds for output feedback, whose bound is never lower.
         path: path of `state_feedback` of the plant, if known.
         beyond_control: the bound of `bound_beyond_control`, if it is known already.
         Dyw: shape (q, r); zero if it is not given.
@@ -56,7 +56,7 @@ def find_lower_bound(
         The bound; 0 without certificates if nothing is proved.
 
     Raises:
-        InputError: C_y or Dyw does not fit the plant, see `measurement_matrices`.
+        InputError: C_y or Dyw does not fit the plant, see `Plant.measured`.
 
     Example:
         >>> from synth import GeneralizedPlant, find_lower_bound
@@ -66,21 +66,22 @@ def find_lower_bound(
         >>> f"{find_lower_bound(oscillator, Cy=[[0, 1]]).gamma:.4f}"
         '0.2500'
     """
-    if Cy is not None and len(Cy):  # without rows: a bound for open-loop control
-        Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
+    measured = Cy is not None or bool(len(plant.Cy))
+    if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
+        plant = plant.measured(Cy, Dyw)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
-    dual = transposed(plant, Cy, Dyw) if Cy is not None else None
+    dual = transposed(plant) if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
     other = observer if observer is not None and len(observer.J) else None  # else y and its derivatives give all states
-    if dual is not None and Cy is not None:
-        best = max(best, _unfelt(plant, dual, len(Cy), Dyw), key=_gamma)
+    if dual is not None:
+        best = max(best, _unfelt(plant, dual), key=_gamma)
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
     if other is None and reached:
         return best
     from synth.analysis.interpolation import zero_limit
 
     one = SynthesisInequality.of(plant)
-    gamma, zeros = zero_limit(plant, Cy, (one, observer), Dyw)
+    gamma, zeros = zero_limit(plant, (one, observer))
     if gamma > best.gamma:
         best = LowerBound(gamma, zeros=zeros)
     if not reached:
@@ -91,7 +92,7 @@ def find_lower_bound(
     return max(best, _along_joint_path(plant, dual, one, other), key=_gamma)
 
 
-def _for_state_feedback(plant: GeneralizedPlant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
+def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """Returns the bound of the dual of (22), from the path of the inequality if it is smaller than (22), or (22) has no path."""
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -102,7 +103,7 @@ def _for_state_feedback(plant: GeneralizedPlant, one: SynthesisInequality, path:
 
 
 def _along_joint_path(
-    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: SynthesisInequality, other: SynthesisInequality | None
+    plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> LowerBound:
     """Returns the best bound of `_joint_path`; 0 if the problem has no solution, or none with a finite gain."""
     points = []
@@ -112,7 +113,7 @@ def _along_joint_path(
     return _sharpest(one, other, points)
 
 
-def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
+def bound_beyond_control(plant: Plant) -> LowerBound:
     """Returns the bound from the invariant point, which no control force changes; 0 if control can change all.
 
     For a discrete plant its continuous image only proposes the frequency.
@@ -120,7 +121,7 @@ def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
     if plant.dt is not None:
         from synth.plant.discrete import mapped, true_frequency
 
-        limit = invariant_limit(mapped(plant, np.eye(len(plant.A))).plant)
+        limit = invariant_limit(mapped(plant.measured(np.eye(len(plant.A))))[0])
         at = true_frequency(limit[1], plant.dt) if limit is not None else 0.0
         best = max((LowerBound(limit_at(plant, each), limit_at=each) for each in (0.0, at)), key=_gamma)
         return best if best.gamma else LowerBound(0.0)
@@ -128,20 +129,20 @@ def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
     return LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
 
 
-def _unfelt(plant: GeneralizedPlant, dual: GeneralizedPlant, q: int, Dyw: Array | None) -> LowerBound:
+def _unfelt(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the bound from disturbances that q measurements do not feel at rest, or at infinity; 0 if the plant is discrete.
 
     Floats cannot represent other zeros on the axis, and zeros next to the axis bound nothing.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
-    at_rest, at_infinity = limit_at(dual, 0.0), limit_at_infinity(plant, q, Dyw) if plant.Dw.any() else 0.0
+    at_rest, at_infinity = limit_at(dual, 0.0), limit_at_infinity(plant) if plant.Dw.any() else 0.0
     if max(at_rest, at_infinity) == 0:
         return LowerBound(0.0)
     return LowerBound(max(at_rest, at_infinity), zeros=((), (0j,) if at_rest > at_infinity else ()))
 
 
-def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
+def _of_state_feedback(plant: Plant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
     """Returns dual certificates along the path of (22), also if its end cannot be reached."""
     points = [point for point in path if point.mu > 0.5 * STATE_END]
     if not path:
@@ -171,7 +172,7 @@ def _sharpest(
 
 
 def _joint_path(
-    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: SynthesisInequality, other: SynthesisInequality | None
+    plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
     """Yields dual certificates and gamma along the path, ever closer to the optimum, as far as it can be followed."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
@@ -218,7 +219,7 @@ def _joint_path(
             second.move_to(p[k:-1])
 
 
-def _feasible(plant: GeneralizedPlant) -> Array:
+def _feasible(plant: Plant) -> Array:
     """Returns X that satisfies the plant's `SynthesisInequality`, for some eta.
 
     It is the inverse of the solution of a Riccati equation whose z also has the states and inputs, in the plant's own units. An X
@@ -255,7 +256,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 class _Side:
     """One of the two inequalities, and its current X = T T', which is I in the coordinates of T."""
 
-    def __init__(self, side: SynthesisInequality, plant: GeneralizedPlant) -> None:
+    def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
         if self.part is None:
             self.U, self.Q, self.b, self.c = side.floats()

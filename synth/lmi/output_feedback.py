@@ -5,12 +5,12 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.lmi.central_path import LIMIT, CentralPoint, central_path
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, NoSolutionError
 from synth.plant.units import independent, own_units, unit_rows
 
 
-def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPoint]:
+def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
     """Returns the central path of (22). Its last point is the optimal state feedback u = G_s x, with G_s = Y X^-1 (3) as K.
 
     Args:
@@ -28,15 +28,13 @@ def nullspace(Cy: Array) -> Array:
     return linalg.null_space(unit_rows(Cy)[0])
 
 
-def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
+def independent_rows(plant: Plant) -> list[int]:
     """Returns the indices of rows of C_y that are linearly independent of earlier ones, ascending; (9) needs full row rank.
 
-    The states are scaled by `own_units` and the rows to length one, so that the result does not depend on units.
-
-    Args:
-        Cy: shape (q, n), no row zero.
+    The states are scaled by `own_units` and the rows to length one, so that the result does not depend on units. No row may be
+    zero.
     """
-    return independent(Cy * own_units(plant, Cy).states)
+    return independent(plant.Cy * own_units(plant, measured=True).states)
 
 
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
@@ -66,11 +64,11 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     return np.linalg.pinv(rows) / lengths + Q @ L
 
 
-def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
+def output_feedback(plant: Plant, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
     """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
-        Cy: matrix of the measured output y = C_y x, shape (q, n), full row rank.
+        plant: plant whose C_y, shape (q, n), has full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
         Q: basis of the nullspace of C_y, shape (n, n - q).
         mu: path parameter, see `central_path`.
@@ -79,7 +77,7 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: 
         NoSolutionError: (25) has no solution with eta > 0 for this L.
     """
     try:
-        return central_path(plant, Q, r_matrix(Cy, Q, L), mu)
+        return central_path(plant, Q, r_matrix(plant.Cy, Q, L), mu)
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
         raise NoSolutionError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error

@@ -35,7 +35,7 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
         else:
             discrete = LowerBound(0.0)
             with contextlib.suppress(InputError):  # next to a level at which the plant has no image
-                discrete = find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(level))
+                discrete = find_lower_bound(plant)
             reached = discrete.gamma
         bound = SampledBound(level, discrete, inside=plant is None)
         if bound.holds:

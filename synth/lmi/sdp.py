@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, NoSolutionError
 
 
@@ -49,7 +49,7 @@ class LmiSolution:
         return self.eta**-0.5
 
 
-def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
+def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
     With an empty Q and R = I it is (22); for a closed loop with B = 0 it is (27). For a discrete plant, the bordered matrix of
@@ -141,15 +141,14 @@ class SlackSolution:
     eta: float
 
 
-def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: Array) -> SlackSolution:
+def first_step(plants: Sequence[Plant], f: float, blocks: Array) -> SlackSolution:
     """Maximises eta subject to the LMIs of all plants for state feedback, W and Y free, with K of shape (m, n).
 
     W_R = C_y W C_y' must have the blocks that the second step needs: this is a constraint here.
 
     Args:
-        plants: plants in continuous time, with the same states and inputs.
+        plants: plants in continuous time, with the same states, inputs, and C_y of the second step.
         f: time unit, above 0 [s].
-        Cy: measurements of the second step, shape (q, n).
         blocks: mask of the entries of W_R that may be nonzero, see `together`, shape (q, q).
 
     Raises:
@@ -158,14 +157,14 @@ def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: 
     """
     import cvxpy as cp  # 0.9 s, and only this function and the next need it
 
-    n, m = plants[0].B.shape
+    (n, m), Cy = plants[0].B.shape, plants[0].Cy
     W, Y = cp.Variable((n, n)), cp.Variable((m, n))
     apart = np.nonzero(blocks == 0)
     eta = _solved(plants, f, W, Y, [(Cy @ W @ Cy.T)[apart] == 0] if len(apart[0]) else [])
     return SlackSolution(np.asarray(W.value), _ratio(Y, W), eta)
 
 
-def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array, pattern: Array) -> SlackSolution:
+def second_step(plants: Sequence[Plant], f: float, Q: Array, R: Array, pattern: Array) -> SlackSolution:
     """Maximises eta subject to the same LMIs for output feedback, with W = Q W_Q + R W_R R' and Y = Y_R R'.
 
     Args:
@@ -197,7 +196,7 @@ def together(pattern: Array) -> Array:
     return np.all(pattern[:, :, None] == pattern[:, None, :], axis=0).astype(float)
 
 
-def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constraints: list[Any]) -> float:
+def _solved(plants: Sequence[Plant], f: float, W: Any, Y: Any, constraints: list[Any]) -> float:
     """Solves for W and Y, cvxpy expressions; returns the largest eta for which all LMIs hold."""
     import cvxpy as cp
 

@@ -21,19 +21,18 @@ from models.common.threads import one_thread
 from synth.lmi.barrier import Barrier, boundary, newton
 from synth.lmi.central_path import BREAKS_OFF, CENTRED, INSIDE, LIMIT, CentralPoint
 from synth.lmi.structured_barrier import direction
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
 ENTERED = 0.1  # mu / eta of the point of (25), far from the boundary, at which the path starts
 RATIO = 0.1  # of mu, from point to point
 
 
-def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[CentralPoint]:
+def slack_path(plant: Plant, start: CentralPoint) -> list[CentralPoint]:
     """Returns points of the central path up to its limit; the X of each proves its bound.
 
     Args:
-        plant: plant in discrete time with n states and m inputs.
-        Cy: shape (q, n), full row rank.
+        plant: plant in discrete time with n states, m inputs, and C_y of full row rank.
         start: point on the path of (25): its X, which determines R (9), is the first W.
 
     Raises:
@@ -42,7 +41,7 @@ def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[
     assert plant.dt is not None
     with one_thread(), np.errstate(all="ignore"):
         try:
-            return _Slack(plant, Cy, start).follow()
+            return _Slack(plant, start).follow()
         except np.linalg.LinAlgError as error:
             raise DesignError(
                 f"rounding errors stop the central path with a slack variable ({error}); rescale the plant"
@@ -52,15 +51,15 @@ def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[
 class _Slack:
     """The problem in coordinates in which the first X is I, with the first gain closed."""
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, point: CentralPoint) -> None:
+    def __init__(self, plant: Plant, point: CentralPoint) -> None:
         assert plant.dt is not None
         self.step, self.K, self.eta, self.mu = plant.dt, point.K, point.eta, point.mu
         X = point.X / plant.dt
         self.T = np.linalg.cholesky(X)
-        own = plant.differences.closed_loop(point.K @ Cy).in_coordinates(self.T)
+        own = plant.differences.closed_loop(point.K @ plant.Cy).in_coordinates(self.T)
         # Units of inputs and disturbances, in which their matrices have the size of A.
         self.input_unit = np.linalg.norm(own.A) / np.linalg.norm(own.B)
-        self.plant, rows = own.with_inputs(self.input_unit * np.eye(own.B.shape[1])), Cy @ self.T
+        self.plant, rows = own.with_inputs(self.input_unit * np.eye(own.B.shape[1])), own.Cy
         # C_y X C_y' of (12) is X_R, and X C_y' X_R^-1 is R.
         self.R = rows.T @ np.linalg.inv(rows @ rows.T)
         self.Q = np.linalg.svd(rows)[2][len(rows) :].T

@@ -24,7 +24,7 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from synth.lmi.barrier import Factored
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 
 class Basis:
@@ -52,17 +52,17 @@ class Basis:
         self.F0[n:k, n:k] = -np.eye(k - n)
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, free: int, step: float = 0.0) -> "Basis":
+    def of(cls, plant: Plant, free: int, step: float = 0.0) -> "Basis":
         """Returns the basis of one plant."""
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free, step)
 
     @property
-    def plant(self) -> GeneralizedPlant:
+    def plant(self) -> Plant:
         """The plant, if there is only one."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
-        return GeneralizedPlant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
+        return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
 
     @property
     def X(self) -> Array:
@@ -166,7 +166,7 @@ class Constraint:
     plain: bool = False
 
 
-def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
+def path_constraints(plant: Plant) -> list[Constraint]:
     """Returns the constraints -F(X, Y, eta) > 0 (24) and X > 0; p_N is eta."""
     n, m = plant.B.shape
     d = len(plant.C)
@@ -180,7 +180,7 @@ def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
     return [bound, _definite(n, m, 1.0)]
 
 
-def start_constraints(plant: GeneralizedPlant, largest: float) -> list[Constraint]:
+def start_constraints(plant: Plant, largest: float) -> list[Constraint]:
     """Returns the constraints A X + B Y + (..)' < p_N I, 0 < X < I and |Y| < largest."""
     n, m = plant.B.shape
     lyapunov = Constraint(np.zeros((n, n)), -plant.system_matrix[:n, : n + m], np.eye(n), np.eye(n))

@@ -18,7 +18,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.analysis.certificate import bounded_real_matrix
 from synth.analysis.stability import balance
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 RANK = 1e-9  # relative; a smaller singular value counts as zero
@@ -41,11 +41,11 @@ class UnobservableReduction:
         step: sample period of a discrete plant [s]; 0 for a continuous one.
     """
 
-    rest: GeneralizedPlant
+    rest: Plant
     Q: Array
     R: Array
     Z: Array
-    whole: GeneralizedPlant
+    whole: Plant
     narrow: Array
     F: Array
     step: float = 0.0
@@ -82,7 +82,7 @@ class UnobservableReduction:
         whole[k:, k:] += 2 * needed * linalg.solve_continuous_lyapunov(loop.A[k:, k:], -np.eye(n - k))
         return self.Z @ whole @ self.Z.T
 
-    def _loop(self, K: Array) -> GeneralizedPlant:
+    def _loop(self, K: Array) -> Plant:
         """Returns the closed loop in the coordinates of Z; for a discrete one its bilinear image, for which X is the same."""
         from synth.plant.discrete import from_differences
 
@@ -90,7 +90,7 @@ class UnobservableReduction:
         return from_differences(self.whole.closed_loop(gain), self.step)
 
 
-def remove_unobservable(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
+def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
     """Removes states that can be made unobservable from z without changing (12). Returns None if there are none.
 
     Args:
@@ -119,14 +119,14 @@ def remove_unobservable(plant: GeneralizedPlant, Q: Array, R: Array, step: float
         # Rounding would make an A that should be zero look like a rate of the plant.
         turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
         A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
-        rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
+        rest = Plant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
         kept = np.eye(n)
         narrow, F_k = out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
         return UnobservableReduction(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
     return None
 
 
-def output_nulling_gains(plant: GeneralizedPlant) -> Iterator[Array]:
+def output_nulling_gains(plant: Plant) -> Iterator[Array]:
     """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
     yield np.zeros_like(plant.B.T)
     W = plant.independent_inputs()
@@ -137,7 +137,7 @@ def output_nulling_gains(plant: GeneralizedPlant) -> Iterator[Array]:
             yield F
 
 
-def output_nulling_subspace(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
+def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
     """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F) if F.any() else plant
@@ -165,7 +165,7 @@ def output_nulling_subspace(plant: GeneralizedPlant, F: Array, step: float = 0.0
     return V @ vectors[:, :count], V
 
 
-def _structured(plant: GeneralizedPlant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
+def _structured(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
     """Returns bases of the largest (A + B F)-invariant V_q + V_r in V: V_q in the first `a` coordinates with F V_q = 0."""
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])

@@ -9,11 +9,10 @@ of Bw and Dw of the larger plant.
 
 A design handles weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's. In series
 with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
-actuator.
+actuator. A filter is a `Plant` without inputs, from w to z.
 
     transfer_function system of a ratio of polynomials in s
     series, append    systems in series, systems in parallel with separate signals
-    generalized       a system from [w; u] to [z; y] as a plant and its measurements
     with_weights      a plant between the filter of its w and that of its z
 
 (Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
@@ -26,61 +25,24 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
-from synth.plant.generalized import Feedback, GeneralizedPlant, real_matrix
+from synth.plant.generalized import Plant, real_matrix
 from synth.plant.state_space import StateSpace
 
 
-def on_larger_plant(
-    plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array | None = None
-) -> tuple[GeneralizedPlant, Feedback]:
-    """Returns the plant with a law's states, and the law as a static gain on it; a static law without noise changes nothing.
+def closed_by(plant: Plant, law: LinearLaw) -> Plant:
+    """Returns the closed loop of a law on y, without an input, from w to z; as `Plant.closed`, in a fifth of its time.
 
-    Args:
-        Cy: shape (q, n).
-        law: law on y = C_y x + Dyw w with k states, continuous as the plant, or discrete.
-        Dyw: shape (q, r); zero if it is not given.
-
-    Returns:
-        The plant, of n + k states and m + k inputs, and the gain, from q + k measurements.
+    Raises:
+        InputError: the loop through the measurements has no solution.
     """
-    k, (n, m) = law.states, plant.B.shape
-    noisy = Dyw is not None and np.any(Dyw)
-    if not k and not noisy:
-        return plant, Feedback(law.D, Cy)
-    if Dyw is not None and noisy:
-        Bw, kept, Dw = plant.Bw + plant.B @ law.D @ Dyw, law.B @ Dyw, plant.Dw + plant.D @ law.D @ Dyw
-    else:
-        Bw, kept, Dw = plant.Bw, np.zeros((k, plant.Bw.shape[1])), plant.Dw
-    larger = GeneralizedPlant(
-        A=np.block([[plant.A, np.zeros((n, k))], [np.zeros((k, n + k))]]),
-        B=np.block([[plant.B, np.zeros((n, k))], [np.zeros((k, m)), np.eye(k)]]),
-        Bw=np.vstack([Bw, kept]),
-        C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
-        D=np.hstack([plant.D, np.zeros((len(plant.D), k))]),
-        Dw=Dw,
-        dt=plant.dt,
-    )
-    rows = np.block([[Cy, np.zeros((len(Cy), k))], [np.zeros((k, n)), np.eye(k)]])
-    return larger, Feedback(np.block([[law.D, law.C], [law.B, law.A]]), rows)
-
-
-def closed_by(plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array) -> GeneralizedPlant:
-    """Returns the closed loop of a law, without an input, from w to z; as a loop of `on_larger_plant`, in a fifth of its time.
-
-    Args:
-        Cy: shape (q, n).
-        law: law on y = C_y x + Dyw w with k states, continuous as the plant, or discrete.
-        Dyw: shape (q, r).
-    """
-    n, K = len(plant.A), law.D
+    law = law.fed_back(plant.Dyu)
+    n, K, Cy, Dyw = len(plant.A), law.D, plant.Cy, plant.Dyw
     A = np.zeros((n + law.states, n + law.states))
     A[:n, :n], A[:n, n:], A[n:, :n], A[n:, n:] = plant.A + plant.B @ K @ Cy, plant.B @ law.C, law.B @ Cy, law.A
-    return GeneralizedPlant(
+    return Plant.without_inputs(
         A=A,
-        B=np.zeros((len(A), 0)),
         Bw=np.concatenate([plant.Bw + plant.B @ K @ Dyw, law.B @ Dyw]),
         C=np.concatenate([plant.C + plant.D @ K @ Cy, plant.D @ law.C], axis=1),
-        D=np.zeros((len(plant.C), 0)),
         Dw=plant.Dw + plant.D @ K @ Dyw,
         dt=plant.dt,
     )
@@ -116,18 +78,19 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         return gain(above[0] / below[0] if len(above) else 0.0)
     from scipy.signal import tf2ss  # half a second
 
-    return StateSpace(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+    A, B, C, D = (np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below))
+    return StateSpace(A, B, C, D)
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """The second system fed by the first: e = second(first(v)).
+    """Returns the second system fed by the first.
 
     Raises:
         InputError: the first has not as many outputs as the second has inputs.
     """
-    if len(first.D) != second.D.shape[1]:
+    if len(first.C) != second.B.shape[1]:
         raise InputError(
-            f"a system with {len(first.D)} outputs cannot feed one with {second.D.shape[1]} inputs; give equal numbers"
+            f"a system with {len(first.C)} outputs cannot feed one with {second.B.shape[1]} inputs; give equal numbers"
         )
     n, k = len(first.A), len(second.A)
     return StateSpace(
@@ -139,36 +102,15 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """StateSpaces beside each other: the inputs of all, and the outputs of all, in their order."""
-    A, B, C, D = ([getattr(system, name) for system in systems] for name in "ABCD")
-    return StateSpace(*(_diagonal(parts) for parts in (A, B, C, D)))
+    """Returns systems in parallel: the inputs of all, and the outputs of all, in their order."""
+    A, B, C, D = (_diagonal([getattr(one, name) for one in systems]) for name in "ABCD")
+    return StateSpace(A, B, C, D)
 
 
-def generalized(system: StateSpace, disturbances: int, controlled: int) -> tuple[GeneralizedPlant, Array, Array]:
-    """A system from [w; u] to [z; y] as a plant with C_y (q, n) and Dyw (q, r): y = C_y x + Dyw w.
-
-    Args:
-        disturbances: r, how many of its inputs are w; they come first.
-        controlled: d, how many of its outputs are z; they come first.
-
-    Raises:
-        InputError: u goes straight through to y.
-    """
-    r, d = disturbances, controlled
-    if np.any(system.D[d:, r:]):
-        raise InputError(
-            "the force changes a measured signal instantly; give the actuator a lag, or measure signals that do not jump with it"
-        )
-    plant = GeneralizedPlant(system.A, system.B[:, r:], system.B[:, :r], system.C[:d], system.D[:d, r:], system.D[:d, :r])
-    return plant, system.C[d:], system.D[d:, :r]
-
-
-def with_weights(
-    plant: GeneralizedPlant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None
-) -> GeneralizedPlant:
+def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None) -> Plant:
     """Returns the plant with one system behind its z and another before its w.
 
-    Its states come first, then those of z, then those of w. Measurement matrices get columns of zeros for the others.
+    Its states come first, then those of z, then those of w. It keeps its measurements, which contain the filtered w.
 
     Args:
         plant: n states, r disturbances, d outputs.
@@ -179,7 +121,7 @@ def with_weights(
     z, w = outputs, disturbances
     n, k, j = len(plant.A), len(z.A), len(w.A)
     through = plant.Dw @ w.C if beside is None else plant.Dw @ w.C + beside
-    return GeneralizedPlant(
+    return Plant(
         A=np.block(
             [
                 [plant.A, np.zeros((n, k)), plant.Bw @ w.C],
@@ -193,6 +135,9 @@ def with_weights(
         D=z.D @ plant.D,
         Dw=z.D @ plant.Dw @ w.D,
         weights=k + j,
+        Cy=np.hstack([plant.Cy, np.zeros((len(plant.Cy), k)), plant.Dyw @ w.C]),
+        Dyu=plant.Dyu,
+        Dyw=plant.Dyw @ w.D,
     )
 
 

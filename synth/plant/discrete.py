@@ -12,7 +12,7 @@ float: z = (1 + j t) / (1 - j t) lies on the circle exactly, without the roundin
 is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 it is divided by j t.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
@@ -20,58 +20,37 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.plant.double_double import added, multiplied, product
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 LOST = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
 MOVES = 20  # gains that are tried if A has a pole next to -1
 SEED = 20261122
 
 
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """A continuous plant for a discrete one.
+def mapped(plant: Plant) -> tuple[Plant, Array]:
+    """Returns the continuous image of a discrete plant with its measurements, and K0; a continuous plant is its own image.
 
-    Attributes:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
-        Dyw: shape (q, r).
-        Dyu: shape (q, m), of y = C_y x + Dyw w + Dyu u.
-        before: K0, shape (m, q): the gain K of the discrete plant is K - K0 here.
-    """
-
-    plant: GeneralizedPlant
-    Cy: Array
-    Dyw: Array
-    Dyu: Array
-    before: Array
-
-
-def mapped(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Mapped:
-    """Returns the continuous image of a discrete plant and its measurements; a continuous plant is its own image.
-
-    Args:
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero if it is not given.
+    The gain K of the discrete plant, shape (m, q), is K - K0 of its image.
 
     Raises:
         InputError: the plant has a pole at z = -1, and no gain from the measurements moves it.
     """
-    m, r = plant.B.shape[1], plant.Bw.shape[1]
-    noise = np.zeros((len(Cy), r)) if Dyw is None else Dyw
+    m, r, q = plant.B.shape[1], plant.Bw.shape[1], len(plant.Cy)
     if plant.dt is None:
-        return Mapped(plant, Cy, noise, np.zeros((len(Cy), m)), np.zeros((m, len(Cy))))
-    K0 = _away_from_minus_one(plant, Cy)
-    loop = plant.closed_loop(K0 @ Cy)
+        return plant, np.zeros((m, q))
+    K0, noise = _away_from_minus_one(plant), plant.Dyw
+    loop = plant.closed_loop(K0 @ plant.Cy)
     through = K0 @ noise
     inputs = np.hstack([plant.Bw + plant.B @ through, plant.B])
-    direct = np.block([[plant.Dw + plant.D @ through, plant.D], [noise, np.zeros((len(Cy), m))]])
-    A, B, C, D = _tustin((loop.A - np.eye(len(loop.A))) / plant.dt, inputs / plant.dt, np.vstack([loop.C, Cy]), direct, plant.dt)
+    direct = np.block([[plant.Dw + plant.D @ through, plant.D], [noise, np.zeros((q, m))]])
+    outputs = np.vstack([loop.C, plant.Cy])
+    A, B, C, D = _tustin((loop.A - np.eye(len(loop.A))) / plant.dt, inputs / plant.dt, outputs, direct, plant.dt)
     d = len(plant.C)
-    continuous = GeneralizedPlant(A, B[:, r:], B[:, :r], C[:d], D[:d, r:], D[:d, :r])
-    return Mapped(continuous, C[d:], D[d:, :r], D[d:, r:], K0)
+    Dyu = D[d:, r:] + plant.Dyu if np.any(plant.Dyu) else D[d:, r:]
+    return Plant(A, B[:, r:], B[:, :r], C[:d], D[:d, r:], D[:d, :r], Cy=C[d:], Dyu=Dyu, Dyw=D[d:, :r]), K0
 
 
-def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> GeneralizedPlant:
+def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
     """Returns the continuous image, from w to z, of a discrete loop without a pole at z = -1; a continuous loop is its own.
 
     Args:
@@ -83,15 +62,15 @@ def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> Generalized
     return from_differences((replace(loop, A=-loop.A, Bw=-loop.Bw) if turned else loop).differences, loop.dt)
 
 
-def from_differences(loop: GeneralizedPlant, step: float) -> GeneralizedPlant:
-    """Returns the continuous image of a loop in differences (`GeneralizedPlant.differences`) over a step [s].
+def from_differences(loop: Plant, step: float) -> Plant:
+    """Returns the continuous image of a loop in differences (`Plant.differences`) over a step [s].
 
     X of (20) is the same in both. A loop of step 0 is its own image.
     """
     if not step:
         return loop
     A, Bw, C, Dw = _tustin(loop.A, loop.Bw, loop.C, loop.Dw, step)
-    return GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    return Plant.without_inputs(A, Bw, C, Dw)
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
@@ -113,7 +92,7 @@ def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array,
     return 2 * A @ beside, 2 * inputs, 2 * C @ beside, D - step * C @ inputs
 
 
-def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
+def _away_from_minus_one(plant: Plant) -> Array:
     """Returns a gain K0 after which no pole lies next to z = -1, shape (m, q); zero if none does.
 
     K0 does not depend on the units of states, inputs or measurements, but for a pole at the very distance LOST, where the powers
@@ -121,15 +100,15 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
     """
 
     def lost(K: Array) -> float:
-        balanced = linalg.matrix_balance(plant.A + plant.B @ K @ Cy, permute=False)[0] if len(plant.A) else plant.A
+        balanced = linalg.matrix_balance(plant.A + plant.B @ K @ plant.Cy, permute=False)[0] if len(plant.A) else plant.A
         sizes = np.linalg.svd(balanced + np.eye(len(plant.A)), compute_uv=False)
         return float(sizes[-1] / max(1.0, sizes[0])) if len(sizes) else 1.0
 
-    nothing = np.zeros((plant.B.shape[1], len(Cy)))
+    nothing = np.zeros((plant.B.shape[1], len(plant.Cy)))
     if lost(nothing) > LOST:
         return nothing
     generator = np.random.default_rng(SEED)
-    scale = 0.5 / _reach(plant, Cy).T
+    scale = 0.5 / _reach(plant).T
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
     if lost(best) <= LOST:
         raise InputError(
@@ -139,23 +118,23 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
     return best
 
 
-def _reach(plant: GeneralizedPlant, Cy: Array) -> Array:
+def _reach(plant: Plant) -> Array:
     """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it always is.
 
     This size of an input's first effect on a measurement does not depend on the units of the states.
     """
-    spread, reach = np.abs(plant.B), np.zeros((len(Cy), plant.B.shape[1]))
+    spread, reach = np.abs(plant.B), np.zeros((len(plant.Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):
-        reach = np.where(reach > 0, reach, np.abs(Cy) @ spread)
+        reach = np.where(reach > 0, reach, np.abs(plant.Cy) @ spread)
         spread = np.abs(plant.A) @ spread
     return np.where(reach > 0, reach, 1.0)
 
 
 LEFT = 1e-14  # relative; an iteration that moves by less has converged
-MOST_TURNS = 12
+MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 
-def response_closely(system: GeneralizedPlant, t: float) -> tuple[Array, float]:
+def response_closely(system: Plant, t: float) -> tuple[Array, float]:
     """Returns T at a point of the unit circle, complex, shape (d, r), and the largest change of an entry in the last iteration.
 
     Args:

@@ -9,8 +9,6 @@ import numpy as np
 from models.common.arrays import Array
 
 SPLIT = 2.0**27 + 1  # halves a float: each half has 26 bits, so that products of halves are exact
-LEFT = 1e-14  # relative; an iteration that moves by less has converged
-MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 
 def added(a: Array, b: Array) -> tuple[Array, Array]:
@@ -44,48 +42,3 @@ def _halves(a: Array) -> tuple[Array, Array]:
     spread = SPLIT * a
     first = spread - (spread - a)
     return first, a - first
-
-
-def transfer_matrix_closely(
-    A: tuple[Array, Array], Bw: Array, C: tuple[Array, Array], Dw: Array, omega: Array
-) -> tuple[Array, Array]:
-    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
-
-    The residual of the linear system is computed with twice the digits and solved for again, until the answer converges
-    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). It fails if A leaves floats no digit at all.
-
-    Args:
-        A: shape (n, n), high and low parts.
-        Bw: shape (n, r).
-        C: shape (d, n), high and low parts.
-        Dw: shape (d, r).
-        omega: angular frequencies [rad/s], shape (F,).
-
-    Returns:
-        T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
-    """
-    n, r = Bw.shape
-    turned = omega[:, None, None]
-    shifted, right = 1j * turned * np.eye(n) - A[0], np.hstack([Bw, np.zeros((n, r))])
-    high, low = np.zeros((2, len(omega), n, 2 * r))  # real parts beside imaginary ones
-    T, moved = np.zeros((len(omega), len(Dw), r), dtype=complex), np.full(len(omega), np.inf)
-    for _ in range(MOST_TURNS):
-        by, into = multiplied(turned, _times_j(high)), product(A[0], high)
-        change, lost = added(into[0], -by[0])
-        residual, rest = added(right, change)
-        residual += rest + lost + into[1] - by[1] + A[0] @ low + A[1] @ high - turned * _times_j(low)
-        step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
-        high, lost = added(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
-        high, low = added(high, low + lost)
-        out, lost = product(C[0], high)
-        out = out + lost + C[0] @ low + C[1] @ high
-        before, T = T, out[..., :r] + 1j * out[..., r:] + Dw
-        moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
-        if np.all(moved <= LEFT * np.abs(T).max(axis=(1, 2), initial=0.0)):
-            break
-    return T, moved
-
-
-def _times_j(x: Array) -> Array:
-    r = x.shape[-1] // 2
-    return np.concatenate([-x[..., r:], x[..., :r]], axis=-1)

@@ -6,7 +6,7 @@ dependent signals are left out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.plant.generalized import GeneralizedPlant, check_continuous
+from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import OwnUnits, independent, nearest_power, orthonormal_rows, own_units, size
 
 
@@ -23,9 +23,8 @@ class NormalisedPlant:
     """A plant and its measurements in the plant's own units.
 
     Attributes:
-        plant: n states, m inputs that are independent, numbers of size one; so time, w and z have units of its own, too.
-        Cy: shape (k, n), and
-        Dyw: shape (k, r): together orthonormal rows.
+        plant: n states, m inputs that are independent, numbers of size one; so time, w and z have units of its own, too. [Cy Dyw]
+            has k orthonormal rows.
         norm: value in these units of a norm of one in the given units.
         kept: indices of the given measurements that do not follow from earlier ones.
         q: number of given measurements.
@@ -35,9 +34,7 @@ class NormalisedPlant:
         rows: S, shape (k, k): the kept measurements are S times those of this plant.
     """
 
-    plant: GeneralizedPlant
-    Cy: Array
-    Dyw: Array
+    plant: Plant
     norm: float
     kept: Sequence[int]
     q: int
@@ -47,19 +44,14 @@ class NormalisedPlant:
     rows: Array
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> "NormalisedPlant":
-        """Returns the plant and its measurements in the plant's own units.
-
-        Args:
-            plant: n states, some disturbance and some output.
-            Cy: shape (q, n).
-            Dyw: shape (q, r).
+    def of(cls, plant: Plant) -> "NormalisedPlant":
+        """Returns a plant with some disturbance, output and measurement in its own units.
 
         Raises:
             InputError: the plant is discrete.
         """
         check_continuous(plant)
-        units = own_units(plant, Cy)
+        units = own_units(plant, measured=True)
         own = units.into(plant)
         W = own.independent_inputs()
         own = own.with_inputs(W)
@@ -67,7 +59,7 @@ class NormalisedPlant:
         u = rate / nearest_power(size(own.B))
         z = 1 / nearest_power(size(own.C)) if own.C.any() else 1 / (u * nearest_power(size(own.D)))
         w = rate / nearest_power(size(own.Bw)) if own.Bw.any() else 1 / (z * nearest_power(size(own.Dw)))
-        scaled = GeneralizedPlant(
+        scaled = Plant(
             A=own.A / rate,
             B=own.B * (u / rate),
             Bw=own.Bw * (w / rate),
@@ -75,11 +67,11 @@ class NormalisedPlant:
             D=own.D * (z * u),
             Dw=own.Dw * (z * w),
         )
-        rows = np.hstack([Cy * units.states, Dyw * w])
+        rows = np.hstack([own.Cy, own.Dyw * w])
         kept = independent(rows)
         V, S = orthonormal_rows(rows[kept])
         n = len(plant.A)
-        return cls(scaled, V[:, :n], V[:, n:], z * w, kept, len(Cy), units, rate, u * W, S)
+        return cls(replace(scaled, Cy=V[:, :n], Dyw=V[:, n:]), z * w, kept, len(rows), units, rate, u * W, S)
 
     @cached_property
     def from_given(self) -> Array:

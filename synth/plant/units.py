@@ -2,14 +2,14 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
 CANCELLED = 1e-9  # relative to its terms; a smaller sum may be zero
@@ -21,7 +21,7 @@ UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are thos
 DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
 
-def reachable(plant: GeneralizedPlant, free: int) -> Array:
+def reachable(plant: Plant, free: int) -> Array:
     """Returns coordinates of (12)'s block structure in which the inputs and the disturbance reach all states equally.
 
     They are the square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not
@@ -58,11 +58,11 @@ class OwnUnits:
     exact: tuple[Array, Array]
     rate: float
 
-    def into(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+    def into(self, plant: Plant) -> Plant:
         """Returns a plant of the given units in the own units."""
         return _in_units(plant, self.states, self.inputs)
 
-    def back(self, plant: GeneralizedPlant) -> GeneralizedPlant:
+    def back(self, plant: Plant) -> Plant:
         """Returns a plant of the own units in the given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
@@ -105,7 +105,8 @@ def unit_rows(Cy: Array) -> tuple[Array, Array]:
     return Cy / lengths[:, None], lengths
 
 
-def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
+@functools.lru_cache(maxsize=4)  # a design needs them often, and plants do not change
+def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     """Returns the plant's own units of states and inputs, and its rate.
 
     They result from least squares over the logarithms of all nonzero entries, in which the units of disturbances, outputs and
@@ -118,18 +119,9 @@ def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
 
     Args:
         plant: n states; a discrete one has those of its differences.
-        Cy: shape (q, n); without rows if it is not given.
+        measured: True if C_y counts, too.
     """
-    return _alone(plant) if Cy is None else _measured(plant.differences, Cy)
-
-
-@functools.lru_cache(maxsize=2)
-def _alone(plant: GeneralizedPlant) -> OwnUnits:
-    """Returns the units of a plant without measurements; cached, as a design needs them often and plants do not change."""
-    return _measured(plant.differences, np.zeros((0, len(plant.A))))
-
-
-def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
+    Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
     # From x, u, w to the change of x, z, y.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
@@ -183,7 +175,7 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     return solution - left @ np.linalg.solve(left[pivots], solution[pivots])
 
 
-def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
+def speed(plant: Plant) -> tuple[float, bool]:
     """Returns a plant's own speed [rad/s]: its fastest pole, and True; its own rate and False if all poles lie at 0.
 
     Poles of weights do not count. The speed of a mode of a discrete plant is its change in a sample over dt.
@@ -191,11 +183,11 @@ def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
     plant = plant.differences
     n = len(plant.A) - plant.weights
     if plant.weights:
-        return _speed(GeneralizedPlant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
+        return _speed(Plant(plant.A[:n, :n], plant.B[:n], plant.Bw[:n], plant.C[:, :n], plant.D, plant.Dw))
     return _speed(plant)
 
 
-def _speed(plant: GeneralizedPlant) -> tuple[float, bool]:
+def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
     # The sum of all squared poles, beside what it is a sum of: no unit changes either.
     if abs(np.sum(A * A.T)) <= CANCELLED * np.sum(np.abs(A * A.T)):
@@ -211,17 +203,11 @@ def are_integrators(A: Array) -> bool:
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 
 
-def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> GeneralizedPlant:
+def _in_units(plant: Plant, states: Array, inputs: Array) -> Plant:
     each = states[:, None]
-    return GeneralizedPlant(
-        plant.A * states / each,
-        plant.B * inputs / each,
-        plant.Bw / each,
-        plant.C * states,
-        plant.D * inputs,
-        plant.Dw,
-        dt=plant.dt,
-    )
+    A, B, Bw = plant.A * states / each, plant.B * inputs / each, plant.Bw / each
+    outputs = {"C": plant.C * states, "D": plant.D * inputs, "Cy": plant.Cy * states, "Dyu": plant.Dyu * inputs}
+    return replace(plant, A=A, B=B, Bw=Bw, **outputs, beyond=None, weights=0)
 
 
 def nearest_power(size: float) -> float:
@@ -254,7 +240,7 @@ class NormalisedSystem:
         gain: reciprocal of the unit of z over w.
     """
 
-    def __init__(self, plants: Sequence[GeneralizedPlant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
+    def __init__(self, plants: Sequence[Plant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
         a, T = Q.shape[1], np.hstack([Q, R])
         scale = reachable(plants[0].in_coordinates(T), a)
         self.measured = scale[a:, a:] = np.linalg.cholesky(scale[a:, a:] @ scale[a:, a:].T * blocks)
@@ -264,13 +250,14 @@ class NormalisedSystem:
         self.force, self.disturbance = rate / size(turned[0].B), rate / size(turned[0].Bw)
         self.gain = self.disturbance * output
         self.plants = [
-            GeneralizedPlant(
+            Plant(
                 A=plant.A / rate,
                 B=plant.B * self.force / rate,
                 Bw=plant.Bw * self.disturbance / rate,
                 C=plant.C * output,
                 D=plant.D * output * self.force,
                 Dw=plant.Dw * self.gain,
+                Cy=plant.Cy,
             )
             for plant in turned
         ]

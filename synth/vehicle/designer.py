@@ -23,7 +23,7 @@ from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
 from synth.lmi.central_path import CentralPoint
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
@@ -45,11 +45,11 @@ NOT_REFINED = "but --refine changes static gains, which have no integral; omit -
 
 def designed(entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
     """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
-    beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
+    beside = STATE_ALONE if entry.name == "state" and len(posed.plant.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
     return Controller.of(
         entry,
-        posed.on_readings(static_law(design.gain).fed_back(-posed.feedthrough)),
+        posed.on_readings(static_law(posed.plant.on_readings(design.gain))),
         design.certificate,
         steps=design,
         redundant=redundant,
@@ -98,14 +98,13 @@ class SharedDesignData:
         if self.vehicle.linear_model.over_datum(measured):
             return self.beyond_control
         if key not in self._bounds:
-            posed = self.problem(*key)
-            Cy, Dyw = posed.select_rows(posed.state_measurements)
-            everything = not len(Cy) or (key[0] == self.states and Dyw is None)
+            plant = self.problem(*key).of_states
+            everything = key[0] == self.states and not np.any(plant.Dyw)
             try:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = find_lower_bound(posed.plant, None if everything else Cy, path, self.beyond_control, Dyw)
+            self._bounds[key] = find_lower_bound(plant.unmeasured if everything else plant, None, path, self.beyond_control)
         return self._bounds[key]
 
 
@@ -134,7 +133,7 @@ class Designer:
         return self._shared[key]
 
     @property
-    def plant(self) -> GeneralizedPlant:
+    def plant(self) -> Plant:
         """The plant of forces that act at once, without noise."""
         return self.shared().plant
 
@@ -249,12 +248,12 @@ class Designer:
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
         shared = self.shared(entry.hardware)
-        if entry.name == "state" and len(posed.Cy) == len(posed.plant.A):
+        if entry.name == "state" and len(posed.plant.Cy) == len(posed.plant.A):
             design = state_design(self.plant, self.state_path, lower_bound)
         elif zero_l:
-            design = zero_l_design(posed.plant, posed.Cy, lower_bound)
+            design = zero_l_design(posed.plant, lower_bound)
         else:
-            design = two_steps_or_descent(posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, posed.Dyw)
+            design = two_steps_or_descent(posed.plant.without_feedthrough, lambda: shared.state_path, lower_bound, shared.states)
         return designed(entry, design, posed)
 
     @at_the_door
@@ -317,13 +316,11 @@ class Designer:
             return replace(found, certificate=replace(found.certificate, below=lower_bound))
         states = self.shared(entry.hardware).states
         if structure is not None and by_force:
-            given = posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, posed.feedthrough, entry.stable
-            found = fixed_order_design(*given, on_found=on_found)
+            found = fixed_order_design(posed.plant, structure, lower_bound, states, entry.stable, on_found=on_found)
             law, certificate = found.law, found.certificate
         else:
-            Cy, Dyw = posed.select_rows(posed.state_measurements)
             noise = white_noise(self.vehicle, entry, posed)
-            given = entry.design, structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found
+            given = entry.design, structure, posed.of_states, lower_bound, states, noise, entry.stable, as_run, on_found
             found = named_design(*given, fastest_pole=entry.fastest_pole)
             law, certificate = as_run(found.law), replace(found.certificate, below=lower_bound)
         return Controller.of(entry, replace(law, anti_windup=entry.anti_windup), certificate, remarks=found.remarks)

@@ -22,10 +22,11 @@ from synth.controller.problem import Problem, measurements, problem
 from synth.design.multi_objective.design import improved_goal
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
-from synth.design.multi_objective.problem import FamilyMember, MeasuredPlant, MultiObjectiveProblem
+from synth.design.multi_objective.problem import FamilyMember, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import Told
 from synth.design.multi_objective.two_step_starts import remarks, run_search, with_individual_optima
+from synth.plant.generalized import Plant
 from synth.vehicle.verification import Verification
 
 USUAL_SPEED = 12.5  # m/s, the paper's (62)
@@ -79,10 +80,9 @@ def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
-def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> MeasuredPlant:
+def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
     """A vehicle with the z of a norm."""
-    posed = problem(weighing(vehicle, norm), entry.measured, entry.hardware)
-    return MeasuredPlant(posed.plant, posed.Cy, posed.Dyw, posed.feedthrough if np.any(posed.feedthrough) else None)
+    return problem(weighing(vehicle, norm), entry.measured, entry.hardware).plant
 
 
 def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
@@ -116,7 +116,8 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
         road.duration + max(later),
     )
     name = f"{bound.peak} over {bound.road} <= {bound.at_most:g}"
-    return RoadLoop(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
+    plant = Plant(model.A, model.B, model.Bw, C, D, np.zeros((1, model.Bw.shape[1])), Cy=Cy, Dyu=Dyu)
+    return RoadLoop(plant, model.Br, of_height, drive, name)
 
 
 def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:

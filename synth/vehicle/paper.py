@@ -20,7 +20,7 @@ from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.two_step import state_path, two_step_design, zero_l_design
 from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
@@ -99,7 +99,7 @@ def ours(designer: Designer) -> dict[str, Array | float]:
     values: dict[str, Array | float] = {"G_s": step.K, "X_s": step.X, "gamma_Gs": step.gamma}
     for name in ("I", "II"):
         L = l_matrix(step.X, CY[name], Q[name])
-        point = output_feedback(designer.plant, CY[name], L, Q[name])[-1]
+        point = output_feedback(designer.plant.measured(CY[name]), L, Q[name])[-1]
         values |= {f"L_{name}": L, f"R_{name}": r_matrix(CY[name], Q[name], L), f"K_{name}": point.K}
         values[f"G_{name}"] = point.K @ CY[name]
         values[f"gamma_G{name}"] = certify(designer.plant, point.K @ CY[name]).norm.value
@@ -159,11 +159,11 @@ class Way:
     seconds: float
 
 
-def absolute_states(plant: GeneralizedPlant) -> GeneralizedPlant:
+def absolute_states(plant: Plant) -> Plant:
     """The paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and w = z_r."""
     A = np.vstack([np.eye(4)[2:], plant.A[2:] @ TO_RELATIVE])
     B, Bw = (np.vstack([np.zeros((2, 1)), rows]) for rows in (plant.B[2:], plant.A[2:] @ ROAD))
-    return GeneralizedPlant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
+    return Plant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
@@ -176,7 +176,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
         best = state_path(plant)[-1].gamma
         for name, Cy in CY.items():
             try:
-                design = zero_l_design(plant, Cy @ turned)
+                design = zero_l_design(plant.measured(Cy @ turned))
             except NoSolutionError:
                 cases.append(WithoutL(name, states, None, None, best))
             else:
@@ -201,9 +201,8 @@ def remark_5(designer: Designer) -> list[Way]:
             return value if np.isfinite(value) else UNSTABLE + norms.abscissa(point)[0]
 
         begin = time.process_time()
-        search = differential_evolution(
-            norm, [(-BOX, BOX)] * len(Cy), (Landscape(plant, Cy),), rng=np.random.default_rng(SEED), tol=TOLERANCE, polish=False
-        )
+        box, given, rng = [(-BOX, BOX)] * len(Cy), (Landscape(plant.measured(Cy)),), np.random.default_rng(SEED)
+        search = differential_evolution(norm, box, given, rng=rng, tol=TOLERANCE, polish=False)
         seconds = time.process_time() - begin
         value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by both routes; one is enough to search by
         ways.append(Way(name, "genetic", search.x[None], value, f"{search.nfev} norms", seconds))

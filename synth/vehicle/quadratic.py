@@ -42,15 +42,15 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
         InputError: the states of filters in [performance] are not measured; or as `preview_design`.
         DesignError: errors of `preview_design`.
     """
-    Cy, _ = posed.select_rows(posed.state_measurements)
+    plant = posed.of_states
     try:
-        state_rows(posed.plant, Cy)
+        state_rows(plant)
     except DesignError:
         raise InputError(
             f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of filters in "
             "[performance]; give constant weights, integrals of deflections, or another design"
         ) from None
-    design = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
+    design = preview_design(plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), plant.Cy)
     law, ahead, model = on_readings(design.law, posed), design.preview, vehicle.linear_model
     if ahead is not None:
         r = len(model.disturbances)

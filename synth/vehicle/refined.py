@@ -8,13 +8,12 @@ from models.common.arrays import Array
 from models.laws.linear import static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem
 from synth.design.descent.refine import SEEN, Refinement, from_some, refine, worth_refining
 from synth.lmi.output_feedback import independent_rows
-from synth.plant.augmented import on_larger_plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +50,20 @@ def refined(
     Raises:
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
     """
-    rows = independent_rows(posed.plant, posed.Cy)
-    (Cy, Dyw), origin = posed.select_rows(rows), ""
+    rows, origin = independent_rows(posed.plant), ""
+    few = posed.plant.rows(rows).without_feedthrough
     if start is None:
         from synth.design.static import static_output_feedback
 
-        static = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
+        static = static_output_feedback(few, lower_bound=lower_bound)
         K, origin = static.gain, static.origin
     else:
         K = _gain(vehicle, start, posed, rows)
-    refinement = refine(posed.plant, Cy, K, Dyw)
+    refinement = refine(few, None, K)
     gain = np.zeros((len(K), len(entry.measured)))
     gain[:, rows] = refinement.gain
-    certificate = certify_tightly(
-        *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
-    )
-    law = static_law(gain).fed_back(-posed.feedthrough)
+    certificate = certify_law(few, static_law(refinement.gain), lower_bound)
+    law = static_law(posed.plant.on_readings(gain))
     return RefinedController(Controller.of(entry, law, certificate), start, origin, refinement)
 
 
@@ -75,12 +72,12 @@ def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
-    rows = independent_rows(posed.plant, posed.Cy)
-    Cy, Dyw = posed.select_rows(rows)
-    share = worth_refining(posed.plant, Cy, _gain(vehicle, controller, posed, rows), Dyw)
+    rows = independent_rows(posed.plant)
+    few = posed.plant.rows(rows).without_feedthrough
+    share = worth_refining(few, _gain(vehicle, controller, posed, rows))
     return share if share > SEEN else 0.0
 
 
 def _gain(vehicle: Vehicle, controller: Controller, posed: Problem, kept: list[int]) -> Array:
     """Returns the controller's gain on the independent measurements, shape (m, len(kept))."""
-    return from_some(controller.law_on_states(vehicle).D, posed.Cy, kept)
+    return from_some(controller.law_on_states(vehicle).D, posed.plant.Cy, kept)

@@ -13,7 +13,7 @@ from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL, read_controllers
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, check_feedback_alone, check_fits
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.vehicle.designer import certify_given
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that
 
 def from_state_space(
     system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
-) -> tuple[GeneralizedPlant, Array]:
+) -> tuple[Plant, Array]:
     """Returns the plant (15) and C_y of a system with named signals, continuous or discrete like the system.
 
     Args:
@@ -74,7 +74,7 @@ def from_state_space(
             raise InputError(f"measured signal {name!r} contains an input directly; a static controller measures states only")
     weight = np.array(list(weights.values()))[:, None]
     direct = weight * D[z]
-    return GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]
+    return Plant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]
 
 
 def _matrices(system: Any) -> list[Array]:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,15 +20,14 @@ from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.design.multi_objective.peak import peak_over_road
-from synth.design.multi_objective.problem import GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm
 from synth.design.uncertainty.multipliers import all_stable, bound_in_band, stable_with_errors
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
 from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstNorm, worst_norm
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
 FAR = 1e4  # times a norm: of loops that are only known to be stable
@@ -151,8 +150,8 @@ class Verification:
         posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
         worst = self.worst_of(posed, spec.at_most if np.isfinite(spec.at_most) else None)
         proved, enough = worst.proved, max(NEAR * worst.found, spec.at_most if np.isfinite(spec.at_most) else 0.0)
-        if not proved <= enough and posed.plant.dt is None and not worst.unstable:
-            gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
+        if not proved <= enough and posed.dt is None and not worst.unstable:
+            gain = scaled_gain(posed, self.K)
             proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, worst.found))
         return WorstCase(worst.found, proved, GainErrors(worst.readings, worst.forces))
 
@@ -162,20 +161,19 @@ class Verification:
         best = self.asked.bests[i] if spec is self.asked.minimise and self.asked.bests is not None else 1.0
         tried = [worst_of_norm(self.asked, i, spec, best, self.K)[1], self.asked.no_errors]
         unit = max(_norm(each.on(posed), self.K, spec)[0] for each in tried)
-        gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
+        gain = scaled_gain(posed, self.K)
         box = box_of(gain, tolerance.sensors, tolerance.forces)
-        proved = np.inf if posed.plant.dt is not None else _proved(gain, box, spec.band, unit)
+        proved = np.inf if posed.dt is not None else _proved(gain, box, spec.band, unit)
         if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
             behind = self.worst_of(in_band(posed, spec.band), spec.at_most if np.isfinite(spec.at_most) else None)
             tried, proved = [GainErrors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
         values = [_norm(each.on(posed), self.K, spec)[0] for each in tried]
         return WorstCase(max(values), proved, tried[int(np.argmax(values))])
 
-    def worst_of(self, posed: MeasuredPlant, enough: float | None) -> WorstNorm:
+    def worst_of(self, posed: Plant, enough: float | None) -> WorstNorm:
         """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
         tolerance = self.asked.tolerance
-        of, d, e = (posed.plant, posed.Cy, self.K), tolerance.sensors, tolerance.forces
-        return worst_norm(*of, d, e, posed.Dyw, posed.through, enough)
+        return worst_norm(posed, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
 
     def decay(self, rate: float) -> list[Specification]:
         """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
@@ -194,10 +192,10 @@ class Verification:
         i = int(np.argmax(rates))
         return [*specifications, Specification("slowest pole, with errors", rates[i], proved, -rate, "rad/s", self.names[i])]
 
-    def stable(self, posed: MeasuredPlant, enough: float) -> bool:
+    def stable(self, posed: Plant, enough: float) -> bool:
         """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
         tolerance = self.asked.tolerance
-        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.through):
+        if stable_with_errors(posed, self.K, tolerance.sensors, tolerance.forces):
             return True
         return bool(np.isfinite(self.worst_of(posed, enough).proved))
 
@@ -207,7 +205,7 @@ class Verification:
         for member in self.asked.members:
             posed, signal = member.posed[self.asked.minimise.which], member.signals[which]
             try:
-                peaks = energy_peaks(posed.plant, posed.acting(self.K) @ posed.Cy, signal.c[None], signal.g[None])
+                peaks = energy_peaks(posed, posed.acting(self.K) @ posed.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
             except DesignError:  # unstable
                 of.append((np.inf, np.inf))
@@ -243,7 +241,7 @@ def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
     return min(proved, moving.gamma) if moving is not None else proved
 
 
-def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
+def _norm(posed: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
     """Returns the norm in the band, a proved bound, and its frequency; infinite if the loop is unstable."""
     norm = norm_in_band(_loop(posed, K), *spec.band)
     if not norm.stability.stable:
@@ -251,21 +249,17 @@ def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[floa
     return norm.value, norm.level, norm.peak_frequency
 
 
-def _moved(posed: MeasuredPlant, rate: float) -> MeasuredPlant:
+def _moved(posed: Plant, rate: float) -> Plant:
     """Returns the plant without its filters, shifted: its loops are stable if those of this one decay faster than a rate."""
-    plant, own = posed.plant, len(posed.plant.A) - posed.plant.weights
-    alone = GeneralizedPlant(
-        plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw
-    )
-    return MeasuredPlant(alone, posed.Cy[:, :own], posed.Dyw, posed.through)
+    alone = posed.without_weighting
+    return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))
 
 
-def _slowest(posed: MeasuredPlant, K: Array) -> float:
+def _slowest(posed: Plant, K: Array) -> float:
     """The largest real part of a pole of a loop; filters' own do not count."""
-    own = len(posed.plant.A) - posed.plant.weights
+    own = len(posed.A) - posed.weights
     return max(float(np.real(pole)) for pole in stability(_loop(posed, K).A[:own, :own]).poles)
 
 
-def _loop(posed: MeasuredPlant, K: Array) -> GeneralizedPlant:
-    plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(posed.acting(K)), posed.Dyw)
-    return plant.closed_loop(G)
+def _loop(posed: Plant, K: Array) -> Plant:
+    return posed.closed(static_law(K))

@@ -30,7 +30,7 @@ from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
@@ -86,8 +86,9 @@ def robust_controller(
     kept, as_run = posed.state_measurements, partial(on_readings, posed=posed)
 
     def designs(name: str, structure: "LawStructure | None") -> Design:
-        def design(plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> LinearLaw:
-            given = name, structure, plant, Cy[kept], LowerBound(0.0), (), None, Dyw[kept], entry.stable, as_run
+        def design(plant: Plant) -> LinearLaw:
+            measured = plant.rows(kept).without_feedthrough
+            given = name, structure, measured, LowerBound(0.0), (), None, entry.stable, as_run
             return as_run(named_design(*given, fastest_pole=entry.fastest_pole).law)
 
         return design
@@ -120,7 +121,7 @@ def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedE
     weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
     of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, posed.plant.B.shape, posed.plant.D.shape)
     systems = _systems(weights[0]), _systems(weights[1])
-    return plant_with_errors(posed.plant, posed.Cy, posed.feedthrough, posed.Dyw, of_errors, systems)
+    return plant_with_errors(posed.plant, of_errors, systems)
 
 
 def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:

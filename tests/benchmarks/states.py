@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> int:
         plant, Cy = chain(size)
         start = time.process_time()
         try:
-            design = two_steps_or_descent(plant, Cy)
+            design = two_steps_or_descent(plant.measured(Cy))
         except DesignError as error:
             print(f"{size:4d} states: {error}")
             return 1

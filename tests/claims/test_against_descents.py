@@ -41,7 +41,7 @@ ITS_GAIN, ITS_NORM = np.array([[-90.257, 54.303], [-177.667, 107.261]]), 26.7325
 
 def sampled(plant: GeneralizedPlant, Cy: Array, period: float) -> SampledDataProblem:
     """The problem of a loop that is sampled without delay."""
-    return SampledDataProblem(plant, Cy, np.zeros((len(Cy), plant.B.shape[1])), (HoldInterval(period, 0),))
+    return SampledDataProblem(plant.measured(Cy), (HoldInterval(period, 0),))
 
 
 @pytest.mark.attack

@@ -52,8 +52,8 @@ def test_design_that_cannot_be_certified_is_an_error(designer):
     """A gain that nothing proves is an error; a bound that its X does not prove is never given, but one that another X does."""
     point = designer.state_feedback
     with pytest.raises(DesignError, match="its certificate fails: unstable"):
-        last_certified_gain(designer.plant, np.eye(4), [dataclasses.replace(point, K=-10 * point.K)])
-    found = last_certified_gain(designer.plant, np.eye(4), [dataclasses.replace(point, eta=2 * point.eta)]).certificate
+        last_certified_gain(designer.plant.measured(np.eye(4)), [dataclasses.replace(point, K=-10 * point.K)])
+    found = last_certified_gain(designer.plant.measured(np.eye(4)), [dataclasses.replace(point, eta=2 * point.eta)]).certificate
     assert found.bound is not None
     assert found.norm.value < found.bound < 1.001 * found.norm.value
 
@@ -120,7 +120,7 @@ def test_design_of_what_hardly_moves(seed):
         Dw=0.5 * rng.standard_normal((2, 1)),
     )
     path, both = state_path(plant), np.eye(2)
-    design = last_certified_gain(plant, both, path)
+    design = last_certified_gain(plant.measured(both), path)
     proofs = [each for each in (certify(plant, point.K, point.X, point.eta) for point in path) if not each.failures]
     slowest = min(each.speed_up for each in proofs)
     assert slowest > FASTEST

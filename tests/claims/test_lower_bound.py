@@ -178,7 +178,7 @@ def test_what_no_measurement_feels(name):
     found = find_lower_bound(plant, Cy)
     assert found.gamma == pytest.approx(UNFELT[name][-1], rel=1e-14)  # exact, rounded down once
     assert found.zeros is not None
-    assert limit_at_zeros(plant, Cy, found.zeros) == found.gamma
+    assert limit_at_zeros(plant.measured(Cy), found.zeros) == found.gamma
     noise = np.full((len(Cy), 1), 1e-3)
     assert find_lower_bound(plant, Cy, Dyw=noise).gamma < found.gamma * (1 - 1e-3)  # felt now
 
@@ -291,7 +291,7 @@ def test_what_knows_less_has_no_lower_bound(seed, base):
     found = find_lower_bound(plant, Cy)
     assert 0 < state.gamma <= found.gamma
     if found.state is not None:  # and it is proved by what it brings
-        assert prove_lower_bound(plant, found.state, Cy, found.observer).gamma == found.gamma
+        assert prove_lower_bound(plant.measured(Cy), found.state, found.observer).gamma == found.gamma
 
 
 @pytest.mark.parametrize("seed", range(4))

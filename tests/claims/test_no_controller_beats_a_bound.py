@@ -263,7 +263,7 @@ def test_no_witness_proves_what_is_not_true(seeds):
         rng = np.random.default_rng(seed)
         try:
             path = state_feedback(plant, 1e-8)
-            _, other = find_lower_bound(plant, Cy), SynthesisInequality.of(transposed(plant, Cy))
+            _, other = find_lower_bound(plant, Cy), SynthesisInequality.of(transposed(plant.measured(Cy)))
         except DesignError:
             continue
         best = min(hinf_norm(plant.closed_loop(point.K)).value for point in path)
@@ -276,7 +276,7 @@ def test_no_witness_proves_what_is_not_true(seeds):
             noise = DualCertificate(
                 np.cov(rng.standard_normal((len(plant.A), 9))) * 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 3)
             )
-            proved = prove_lower_bound(plant, good, Cy, hostile(rng, noise))
+            proved = prove_lower_bound(plant.measured(Cy), good, hostile(rng, noise))
             assert proved.gamma <= reached * (1 + ROUTES), seed
 
 

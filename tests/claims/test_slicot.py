@@ -13,7 +13,6 @@ from synth.analysis.stability import is_stable
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import h2_design, h2_norm
 from synth.design.uncertainty.worst_case import worst_norm
-from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 
 slycot = pytest.importorskip("slycot", reason="a witness that is not required")
@@ -84,7 +83,7 @@ def test_random_plants(seed):
     whole = control.ss(plant.A, np.hstack([plant.Bw, plant.B]), np.vstack([plant.C, Cy]), through)
 
     def loop(law: Any) -> GeneralizedPlant:
-        larger, G = on_larger_plant(plant, Cy, LinearLaw(law.A, law.B, law.C, law.D), Dyw)
+        larger, G = plant.measured(Cy, Dyw).with_law(LinearLaw(law.A, law.B, law.C, law.D))
         return larger.closed_loop(G)
 
     found = full_order_design(plant, Cy, Dyw).certificate.norm.value

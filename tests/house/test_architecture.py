@@ -1,6 +1,8 @@
 """The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
 
 import graphlib
+import importlib
+import inspect
 import re
 from pathlib import Path
 
@@ -38,7 +40,7 @@ ROOMS = {
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.plant": "models.laws",
-    "synth.analysis": "models.document synth.plant",
+    "synth.analysis": "models.document models.laws synth.plant",
     "synth.controller": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "synth.plant synth.analysis",
     "synth.lmi": "synth.plant synth.analysis",
@@ -215,6 +217,24 @@ def test_the_table_is_the_house():
     for room, names in ROOMS.items():
         assert all(rows.index(name) < rows.index(room) for name in allowed(room)), room
         assert set(names.split()) <= found[room], f"{room} has in its row what it does not import"
+
+
+def test_a_plant_carries_its_measurements():
+    """Outside the public names no function takes a plant and its measurement matrices as separate arguments."""
+    public = {inspect.unwrap(getattr(one, name)) for one in (models, synth, sim) for name in one.__all__}
+    apart = set()
+    for name in MODULES:
+        module = importlib.import_module(name) if name.startswith(("synth.", "sim.")) and "__main__" not in name else models
+        own = [one for one in vars(module).values() if getattr(one, "__module__", "") == name]
+        classes = [one for one in own if inspect.isclass(one) and one not in public]
+        functions = [*own, *(getattr(method, "__func__", method) for one in classes for method in vars(one).values())]
+        for function in map(inspect.unwrap, functions):
+            if inspect.isfunction(function) and function not in public:
+                given = inspect.signature(function).parameters
+                a_plant = "plant" in given or any("Plant" in str(one.annotation) for one in given.values())
+                if a_plant and given.keys() & {"Cy", "Dyw", "Dyu", "through", "feedthrough"}:
+                    apart.add(f"{name}.{function.__qualname__}")
+    assert apart == set()
 
 
 def test_no_circle():

@@ -17,7 +17,6 @@ from synth.analysis.norm import hinf_norm
 from synth.controller.loop_of import loop_of, radius
 from synth.controller.problem import generalized_plant, plant_states, problem
 from synth.controller.report import judged_lines
-from synth.plant.augmented import on_larger_plant
 from synth.vehicle.designer import Designer, certify_given
 from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.support.active_suspension import PRINTED, active_suspension
@@ -67,9 +66,8 @@ def test_active_suspension_from_its_file(handling, names, tmp_path, capsys):
         assert full["norm"] < static["norm"] < {0.01: 0.9485, 0.5: 0.7285, 0.99: 1.2270}[handling]  # given with 3 digits, one cut
         assert static["lower_bound"] == full["lower_bound"]
     law = Designer(read_vehicle(path)).design("full").law
-    plant, Cy, Dyw = active_suspension(handling)
-    larger, G = on_larger_plant(plant, Cy, law.scaled(1e-3), Dyw)  # its force is in kN
-    assert hinf_norm(larger.closed_loop(G)).value == pytest.approx(full["norm"], rel=1e-4)  # its road, and a flat top's other end
+    loop = active_suspension(handling).closed(law.scaled(1e-3))  # its force is in kN
+    assert hinf_norm(loop).value == pytest.approx(full["norm"], rel=1e-4)  # its road, and a flat top's other end
 
 
 def test_its_table_says_what_the_norm_is_of(tmp_path, capsys):
@@ -194,8 +192,8 @@ def test_lag_is_a_state_that_can_be_measured():
     vehicle = built(section=section)
     posed = problem(vehicle, vehicle.controllers["one"].measured, vehicle.controllers["one"].hardware)
     assert plant_states(vehicle, 80.0)[-1] == "lagged_control_force"
-    np.testing.assert_array_equal(posed.Cy[-1], [0, 0, 0, 0, 1])
-    assert not posed.feedthrough.any()
+    np.testing.assert_array_equal(posed.plant.Cy[-1], [0, 0, 0, 0, 1])
+    assert not posed.plant.Dyu.any()
     told, untold = (Designer(one).refine("one").controller for one in (vehicle, built("lag = true")))
     assert told.gain.shape == (1, 3)
     assert told.certificate.norm.value <= untold.certificate.norm.value * (1 + 1e-3)  # what refinement holds not worth it

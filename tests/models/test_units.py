@@ -94,7 +94,7 @@ class Moved:
 def refuse_units(seed: int, times: int) -> None:
     """Fails if a design of a plant is another one in other units."""
     plant, Cy = any_plant(seed)
-    for design in (two_step_design, zero_l_design):
+    for design in (two_step_design, lambda plant, Cy: zero_l_design(plant.measured(Cy))):
         here = _outcome(lambda plant=plant, Cy=Cy, design=design: design(plant, Cy))
         for again in range(times):
             moved = Moved(plant, Cy, 1000 * seed + again)
@@ -259,11 +259,11 @@ def test_own_units_are_no_units():
     plant, Cy = a_plant(1)
     for seed in range(5):
         moved, Cy_moved, _ = in_other_units(plant, Cy, seed)
-        own = own_units(moved, Cy_moved)
+        own = own_units(moved.measured(Cy_moved), measured=True)
         for name in ("A", "B", "Bw", "C", "D"):
             np.testing.assert_array_equal(getattr(own.back(own.into(moved)), name), getattr(moved, name))
         # Each unit is a power of two: what is left of ten orders of magnitude is a factor of two each way.
-        ratio = np.abs(own.into(moved).A / own_units(plant, Cy).into(plant).A)
+        ratio = np.abs(own.into(moved).A / own_units(plant.measured(Cy), measured=True).into(plant).A)
         assert ratio.max() / ratio.min() < 4.01**2
     # Where all units are open, that of the disturbance stays: an input of an extreme unit moves no other, on any machine.
     for weak in 10.0 ** np.arange(-300, 50, 49):

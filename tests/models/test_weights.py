@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.plant.augmented import append, gain, generalized, series, transfer_function
+from synth.plant.augmented import append, gain, series, transfer_function
 from synth.plant.state_space import StateSpace
 
 OMEGA = np.array([0.0, 0.3, 1.0, 7.0, 200.0])
@@ -50,20 +50,6 @@ def test_one_after_the_other_and_beside():
     np.testing.assert_allclose(response(named.part(["y"], ["c", "a"])), response(one)[:, [1]][:, :, [2, 0]], rtol=1e-12)
 
 
-def test_generalized():
-    """A system from [w; u] to [z; y] as a plant with its measurements is the same system."""
-    system = random_system(2, 5, 3)
-    D = system.D.copy()
-    D[3:, 2:] = 0
-    system = StateSpace(system.A, system.B, system.C, D)
-    plant, Cy, Dyw = generalized(system, 2, 3)
-    np.testing.assert_allclose(plant.frequency_response(OMEGA), response(system)[:, :3, :2], rtol=1e-12)
-    np.testing.assert_allclose(response(StateSpace(plant.A, plant.Bw, Cy, Dyw)), response(system)[:, 3:, :2], rtol=1e-12)
-    np.testing.assert_allclose(
-        response(StateSpace(plant.A, plant.B, Cy, np.zeros((2, 1)))), response(system)[:, 3:, 2:], rtol=1e-12
-    )
-
-
 def test_refused():
     """A filter that is none, or does not fit, is refused in a line."""
     with pytest.raises(InputError, match="would differentiate"):
@@ -76,5 +62,3 @@ def test_refused():
         series(gain(np.eye(2)), gain(1))
     with pytest.raises(InputError, match=r"B has shape \(1, 1\); expected \(1, 2\)"):
         StateSpace(np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 2)))
-    with pytest.raises(InputError, match="changes a measured signal instantly"):
-        generalized(gain(np.eye(2)), 1, 1)

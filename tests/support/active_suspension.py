@@ -7,8 +7,8 @@ each frequency, weighed against each other by one number: 0.01 for comfort, 0.99
 
 import numpy as np
 
-from synth.plant.augmented import append, gain, generalized, series, transfer_function
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.augmented import append, gain, series, transfer_function
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 SCENARIOS = (0.01, 0.5, 0.99)
@@ -25,8 +25,8 @@ def quarter_car() -> StateSpace:
     return StateSpace(A, B, np.array([[1, 0, -1, 0], body]), np.array([[0, 0], [0, 1e3 / BODY]]))
 
 
-def active_suspension(handling: float) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
-    """The plant, C_y and Dyw of a scenario: 8 states, w = road and two noises, y = deflection and acceleration."""
+def active_suspension(handling: float) -> Plant:
+    """The plant of a scenario: 8 states, w = road and two noises, y = deflection and acceleration."""
     actuator = transfer_function([1], [1 / 60, 1])
     # [w; u] -> [road, force, noise, noise, u]
     asked = series(gain([[1], [1]]), append(actuator, gain(1)))
@@ -40,4 +40,6 @@ def active_suspension(handling: float) -> tuple[GeneralizedPlant, np.ndarray, np
         transfer_function([handling / 80, handling], [0.04 / 8, 0.04]),
         gain(np.eye(2)),
     )
-    return generalized(series(series(signals, chosen), weights), 3, 3)
+    whole = series(series(signals, chosen), weights)
+    (Bw, B), (C, Cy), Dw = np.split(whole.B, [3], 1), np.split(whole.C, [3]), whole.D
+    return Plant(whole.A, B, Bw, C, Dw[:3, 3:], Dw[:3, :3], Cy=Cy, Dyw=Dw[3:, :3])

@@ -107,7 +107,7 @@ def ask_everything(seed: int, search: bool) -> None:
     rng, m = np.random.default_rng(seed), plant.B.shape[1]
     asked(lambda: state_design(plant))
     design = asked(lambda: two_step_design(plant, Cy))
-    asked(lambda: zero_l_design(plant, Cy))
+    asked(lambda: zero_l_design(plant.measured(Cy)))
     asked(lambda: find_lower_bound(plant))
     below = asked(lambda: find_lower_bound(plant, Cy))
     K = rng.standard_normal((m, len(Cy))) * 10.0 ** rng.uniform(-20, 12) if design is None else design.gain
@@ -115,10 +115,10 @@ def ask_everything(seed: int, search: bool) -> None:
     for found in (asked(lambda: certify(plant, u)), asked(lambda: certify_tightly(plant, u, below))):
         assert found is None or found.failures or np.isfinite(found.norm.value)
     asked(lambda: refine(plant, Cy, K))
-    asked(lambda: worth_refining(plant, Cy, K))
+    asked(lambda: worth_refining(plant.measured(Cy), K))
     if search:
         asked(lambda: static_output_feedback(plant, Cy, lower_bound=below))
-        asked(lambda: two_steps_or_descent(plant, Cy))
+        asked(lambda: two_steps_or_descent(plant.measured(Cy)))
 
 
 @pytest.mark.attack

@@ -17,7 +17,7 @@ CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}
 def two_steps(plant, Cy):
     X = state_feedback(plant)[-1].X
     Q = nullspace(Cy)
-    return output_feedback(plant, Cy, l_matrix(X, Cy, Q), Q)[-1]
+    return output_feedback(plant.measured(Cy), l_matrix(X, Cy, Q), Q)[-1]
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -91,7 +91,7 @@ def test_same_gain_again():
 def test_gains_that_make_the_same_loop():
     """The unit of a controller's memory changes the gain, not the norm; the smallest of these gains is found from any of them."""
     plant, Cy = follower()
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant.measured(Cy))
     alike = Symmetry(landscape)
     sizes = []
     for unit in (1e-3, 1.0, 1e3):
@@ -102,13 +102,13 @@ def test_gains_that_make_the_same_loop():
     np.testing.assert_allclose(sizes, 1e3, rtol=1e-3)  # its stiffness, which no unit changes
     other, its_Cy = random_plant(0)
     point = np.ones(4)
-    np.testing.assert_array_equal(Symmetry(Landscape(other, its_Cy)).smallest(point), point)
+    np.testing.assert_array_equal(Symmetry(Landscape(other.measured(its_Cy))).smallest(point), point)
 
 
 def test_the_bound_counts_where_gains_are_smallest():
     """A largest entry that is the same in all gains that are alike does not keep the others from being made smaller."""
     plant, Cy = follower()
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant.measured(Cy))
     K = lead(1e3, 10.0, 1e4) * np.outer([1.0, 3.0], [1.0, 1.0, 1 / 3.0])  # the memory's own rate, 1e4, is the same in every unit
     found = landscape.gain(Symmetry(landscape).smallest(landscape.point(K)))
     assert np.abs(found).max() == pytest.approx(1e4, rel=1e-9)
@@ -143,7 +143,7 @@ def test_norm_of_zero_is_proved():
 def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
     """A descent without a model stays where it is, and its norm is the one that it had: what was reached is never lost."""
     plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
-    landscape = Landscape(plant, np.eye(2))
+    landscape = Landscape(plant.measured(np.eye(2)))
     x, limit = np.zeros(2), np.full(2, 1e3)
     reached, norm = along_edges(landscape, x, limit, 30)
     assert norm < landscape.norm(x)[0]
@@ -156,7 +156,7 @@ def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
 def test_gains_that_leave_floats_are_not_stable():
     """For a point whose loop is not finite the norm is infinite, and so is the real part of its last pole."""
     plant = of_lists([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
-    landscape = Landscape(plant, np.eye(1))
+    landscape = Landscape(plant.measured(np.eye(1)))
     for far in (np.inf, np.nan):
         assert landscape.norm(np.array([far]))[0] == np.inf
         assert landscape.abscissa(np.array([far]))[0] == np.inf
@@ -165,7 +165,7 @@ def test_gains_that_leave_floats_are_not_stable():
 def test_a_norm_of_zero_has_its_smallest_gain():
     """If w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
     plant = of_lists([[-1, 0], [0, -1]], [[1, 0], [0, 1]], [[1], [0]], [[0, 0]], [[0, 0]])
-    landscape = Landscape(plant, np.eye(2))
+    landscape = Landscape(plant.measured(np.eye(2)))
     assert landscape.norm(np.zeros(4))[0] == 0
     x = np.array([-1.0, 0.0, 0.0, -1.0])
     assert np.all(np.isfinite(Symmetry(landscape).smallest(x)))

@@ -83,7 +83,7 @@ def test_nearly_dependent_signals_that_say_all(apart):
     """Two signals that differ by next to nothing still tell both states: the two steps give state feedback."""
     plant, Cy = oscillator(), np.array([[1, 1], [1, 1 + apart]])
     state = state_design(plant)
-    for design in (two_step_design(plant, Cy), two_steps_or_descent(plant, Cy), zero_l_design(plant, Cy)):
+    for design in (two_step_design(plant, Cy), two_steps_or_descent(plant.measured(Cy)), zero_l_design(plant.measured(Cy))):
         assert design.certificate.failures == ()
         assert not design.instead
         assert not design.redundant
@@ -188,7 +188,7 @@ NO_DESIGN = (  # A, B, C_y, the period, and why
 def test_what_no_static_gain_stabilises_is_named(design, A, B, Cy, dt, message):
     """If no input reaches a mode, no measurement shows it, or no static gain moves it, one line names it; no search."""
     with pytest.raises(InfeasibleError, match=message) as caught:
-        design(plant_of(A, B, dt), np.array(Cy, dtype=float))
+        design(plant_of(A, B, dt).measured(Cy))
     assert len(str(caught.value).splitlines()) == 1
 
 

@@ -175,7 +175,7 @@ def test_where_the_two_steps_find_none_there_is_a_gain():
     assert found.method == "descent on the norm"
     assert "has no solution for the X of (22), but another gain may exist" in found.why
     assert "infeasible" not in repr(found)
-    assert two_steps_or_descent(plant, np.array([[1, -0.5]])).gain == pytest.approx(found.gain)  # so of vehicles
+    assert two_steps_or_descent(plant.measured(np.array([[1, -0.5]]))).gain == pytest.approx(found.gain)  # so of vehicles
 
 
 def test_of_equal_gains_the_smallest_is_taken():

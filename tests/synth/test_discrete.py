@@ -154,7 +154,7 @@ def test_the_second_step_by_another_solver(paper, name):
     # Its X is that of a discrete plant, too, and proves its bound but for the solver's tolerance.
     assert certify(plant, solved.Y @ np.linalg.inv(solved.X), solved.X, solved.eta * (1 - 1e-4)).failures == ()
     assert found.certificate.bound == pytest.approx(solved.gamma, rel=1e-5)  # Clarabel's tolerance of eta
-    assert bound(zero_l_design(plant, Cy).certificate) > bound(found.certificate)
+    assert bound(zero_l_design(plant.measured(Cy)).certificate) > bound(found.certificate)
 
 
 @pytest.mark.parametrize("name", MEASURED)

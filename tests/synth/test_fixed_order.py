@@ -72,7 +72,7 @@ def of_numbers(x: np.ndarray) -> LinearLaw:
 @functools.cache
 def found_for(seed: int, order: int) -> FixedOrderDesign:
     """The law of an order for `posed`."""
-    return fixed_order_design(*posed(seed), LawStructure(order))
+    return fixed_order_design(posed(seed), LawStructure(order))
 
 
 @pytest.mark.attack
@@ -119,8 +119,8 @@ def test_a_limit_on_entries_does_not_end_a_descent():
     """
     plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     law = of_entries(-12.3705, 33.0421, 33.0421, -100.0)
-    search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
-    posed = structured_gain(LawStructure(1), plant, search.Cy, None, None)
+    search = _Search(plant.measured([[1.0, 0.0]]), LowerBound(0.1), False, as_designed)
+    posed = structured_gain(LawStructure(1), search.plant)
     landscape = search.of(posed, 1, 100.0).landscape
     x = landscape.point(posed.gain(law))
     start = Candidate(x, landscape.norm(x)[0], "known")
@@ -145,7 +145,7 @@ def held(rate: float, dt: float | None, cost: float) -> GeneralizedPlant:
 def test_a_loop_may_be_as_fast_as_its_samples_follow(rate, dt):
     """At a thousandth of the plant's time a loop a hundred times as fast is not too fast, and the limit on gains ends it."""
     plant, start = held(rate, dt, 0.02), LinearLaw(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -np.eye(1))
-    found = fixed_order_design(plant, np.eye(1), structure=LawStructure(0), lower_bound=LowerBound(0.0), known=[start])
+    found = fixed_order_design(plant.measured(np.eye(1)), LawStructure(0), lower_bound=LowerBound(0.0), known=[start])
     assert found.certificate.speed_up > FASTEST
     assert found.certificate.norm.value == pytest.approx((1 + 2**2) ** 0.5 / 101, rel=1e-3)  # of u = -100 x, which it nears
 
@@ -153,7 +153,7 @@ def test_a_loop_may_be_as_fast_as_its_samples_follow(rate, dt):
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_states_at_zero_that_do_nothing_are_moved(dt):
     """A law whose states read nothing and stand still is given with states that decay slowly, and the norm of its gain."""
-    search = _Search(held(10.0, dt, 0.1), np.eye(1), None, None, LowerBound(0.0), False, as_designed)
+    search = _Search(held(10.0, dt, 0.1).measured(np.eye(1)), LowerBound(0.0), False, as_designed)
     still = np.zeros((2, 2)) if dt is None else np.eye(2)
     law = LinearLaw(still, np.zeros((2, 1)), np.ones((1, 2)), -np.eye(1), dt)
     assert search.certified(law).failures
@@ -172,7 +172,7 @@ def test_a_known_law_may_have_fewer_states(rows):
     """A descent starts from a law of fewer states than it may have, one for all forces or one for each, and ends lower."""
     plant, Cy, _ = posed(2, m=2, n=2)
     nothing = LinearLaw(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.zeros((2, 2)))
-    found = fixed_order_design(plant, Cy, structure=LawStructure(1, rows), lower_bound=LowerBound(0.0), known=[nothing])
+    found = fixed_order_design(plant.measured(Cy), LawStructure(1, rows), lower_bound=LowerBound(0.0), known=[nothing])
     assert found.law.states == (1 if rows is None else 2)
     assert found.certificate.failures == ()
     assert found.certificate.norm.value < hinf_norm(plant).value
@@ -191,7 +191,7 @@ def test_any_order_is_designed_for_the_sampled_loop(order, delay):
 def test_each_force_has_a_law_of_its_own():
     """With rows of a structure and an order the law is block diagonal, exactly, and better than a static gain so built."""
     plant, Cy, Dyw = posed(2, m=2, n=2)
-    static = fixed_order_design(plant, Cy, Dyw, LawStructure(0, ((True, False), (False, True)))).certificate.norm.value
+    static = fixed_order_design(plant.measured(Cy, Dyw), LawStructure(0, ((True, False), (False, True)))).certificate.norm.value
     found = design_feedback(plant, Cy, Dyw, order=1, structure=np.eye(2))
     law = found.law
     for matrix in (law.A, law.B, law.C, law.D):
@@ -204,7 +204,7 @@ def test_each_force_has_a_law_of_its_own():
 def test_stable_and_discrete():
     """`stable` goes with an order, and a discrete plant has a discrete law, both certified."""
     plant, Cy, Dyw = posed(9, n=2)
-    calm = fixed_order_design(plant, Cy, Dyw, LawStructure(1), stable=True)
+    calm = fixed_order_design(plant.measured(Cy, Dyw), LawStructure(1), stable=True)
     assert calm.law.growth == 0
     assert calm.certificate.failures == ()
     step = linalg.expm(0.1 * np.block([[plant.A, plant.B, plant.Bw], [np.zeros((3, 5))]]))

@@ -27,7 +27,7 @@ def _gain(vehicle: Vehicle, controller: str):
     designer = Designer(vehicle)
     one = designer.design(controller)
     posed = designer.problem(one.measured)
-    return scaled_gain(posed.plant, posed.Cy, one.law, posed.Dyw, posed.feedthrough)
+    return scaled_gain(posed.plant, one.law)
 
 
 def test_printed_controller_i_dies_where_it_cancels_the_spring():
@@ -64,17 +64,18 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
         (problem(paper, measured, DesignConditions()), static_law(np.array([gain])))
         for measured, gain in ((("sprung_velocity", "control_force"), [-4000.0, 0.1]), (("sprung_velocity",), [-4000.0 / 0.9]))
     )
-    gain = scaled_gain(posed.plant, posed.Cy, one, posed.Dyw, posed.feedthrough)
-    alone = scaled_gain(posed.plant, posed.Cy[:1], plain, None, posed.feedthrough[:1])
+    gain = scaled_gain(posed.plant, one)
+    alone = scaled_gain(posed.plant.rows([0]), plain)
     found, plainly = fragility(gain), fragility(alone)
     assert found.norm == pytest.approx(plainly.norm, rel=1e-9)
     assert np.isinf(found.stable.smallest_violation)
     assert found.stable.proved_margin == plainly.stable.proved_margin == 1.0
-    silent = np.vstack([posed.Cy, 0 * posed.Cy[:1]])
+    silent = posed.plant.rows([0, 1, 1])
+    silent = replace(silent, Cy=silent.Cy * [[1], [1], [0]], Dyu=silent.Dyu * [[1], [1], [0]], Dyw=None)
     with pytest.raises(
         InputError, match=r"row 2 of \[Cy Dyu\] is zero: the signal contains no information on the state or force; omit the row"
     ):
-        scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.feedthrough, [[0.0]]]))
+        scaled_gain(silent, static_law(np.ones((1, 3))))
 
 
 def _random(seed: int):
@@ -93,7 +94,7 @@ def _random(seed: int):
         generator.standard_normal((2, m)),
         np.zeros((2, 1)),
     )
-    return scaled_gain(plant, Cy * units * rows[:, None], K / rows), generator
+    return scaled_gain(plant.measured(Cy * units * rows[:, None]), K / rows), generator
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -151,9 +152,7 @@ def test_more_errors_than_corners_are_looked_at():
     many = replace(
         gain,
         K=np.hstack([gain.K[:, [i % 2]] * share for i, share in enumerate(shares)]),
-        Cy=np.vstack([gain.Cy[i % 2] for i in range(copies)]),
-        Dyw=np.zeros((copies, gain.Dyw.shape[1])),
-        Dyu=np.zeros((copies, 1)),
+        plant=gain.plant.rows([i % 2 for i in range(copies)]),
         before=np.zeros((1, copies)),
         readings=copies,
     )

@@ -17,7 +17,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.report.front import front_section, measure
 from sim.report.scope import Scope
 from synth.__main__ import main
-from synth.analysis.norm import largest_singular_values, transfer_matrix
+from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of
 from synth.controller.problem import problem
 from synth.vehicle.designer import Designer
@@ -71,7 +71,7 @@ def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, 
         loop = plant.plant.closed_loop(plant.closed_loop(static_law(K))[1])
         low, high = (2 * np.pi * edge for edge in axis.norm.band)
         within = np.unique(np.clip(omega, low, high))
-        norms.append(float(largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, within)).max()))
+        norms.append(float(largest_singular_values(loop.frequency_response(within)).max()))
     return norms
 
 

@@ -16,7 +16,6 @@ from synth.analysis.stability import is_stable, stability
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import FullOrderDesign, full_order_design
 from synth.design.full_order.riccati import SAME, WITHIN, central_law
-from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.plant.units import speed
@@ -97,9 +96,9 @@ def test_full_car_with_its_twist(name):
 @pytest.mark.parametrize("scenario", in_the_suite((0.5,), SCENARIOS))
 def test_active_suspension(scenario):
     """The three scenarios of MathWorks' example, with weights over frequency and noise on both measurements: as printed."""
-    plant, Cy, Dyw = active_suspension(scenario)
-    found = full_order_design(plant, Cy, Dyw)
-    holds(plant, Cy, found, Dyw)
+    plant = active_suspension(scenario)
+    found = full_order_design(plant)
+    holds(plant, plant.Cy, found, plant.Dyw)
     printed, by_lmi = PRINTED[scenario]
     assert round(found.certificate.norm.value, 2) == pytest.approx(printed)
     assert found.certificate.lower_bound == pytest.approx(by_lmi, abs=5e-6)  # given with 5 digits
@@ -246,7 +245,7 @@ def test_central_law(seed):
     def tried(gammas: np.ndarray) -> None:
         for gamma in gammas:
             try:
-                law = central_law(plant, Cy, Dyw, gamma)
+                law = central_law(plant.measured(Cy, Dyw), gamma)
             except InfeasibleError:
                 refused.append(gamma)
                 continue
@@ -373,8 +372,7 @@ def best_on_the_grid(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -
     """The smallest norm of the grid's static gains whose loops are stable, and not faster than what full order may be."""
     norms, own = [np.inf], speed(plant)[0]
     for K in GRID:
-        larger, gain = on_larger_plant(plant, Cy, static_law(np.array([[K]])), Dyw)
-        loop = larger.closed_loop(gain)
+        loop = plant.measured(Cy, Dyw).closed(static_law(np.array([[K]])))
         if stability(loop.A, loop.dt).stable and np.abs(np.linalg.eigvals(loop.differences.A)).max() <= FASTEST * own:
             norms.append(hinf_norm(loop).value)
     return min(norms)

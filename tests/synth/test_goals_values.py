@@ -38,7 +38,7 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         plant, Cy = random_loop(rng)
         rates = np.sort(np.abs(np.linalg.eigvals(plant.A)))
         low, high = rates[0] * rng.uniform(0, 1), rates[-1] * rng.uniform(1, 3)
-        landscape = BandLandscape(plant, Cy, None, (low, high))
+        landscape = BandLandscape(plant.measured(Cy), (low, high))
         x = 0.02 * rng.standard_normal(landscape.scale.size)
         height, at = landscape.norm(x)
         if not np.isfinite(height):
@@ -73,7 +73,8 @@ def after_a_ramp(A: np.ndarray, c: list[float], until: float) -> tuple[Peak, flo
         end=end,
     )
     none, of_u = np.zeros((3, 1)), np.zeros((1, 1))
-    driven = RoadLoop(A, none, none.T, of_u, Bw, Br, np.array(c), np.zeros(1), f, drive)
+    plant = GeneralizedPlant(A, none, Bw, np.array([c]), of_u, np.zeros((1, Bw.shape[1])), Cy=none.T, Dyu=of_u)
+    driven = RoadLoop(plant, Br, f, drive)
     peak = peak_over_road(driven, of_u)
     # Of z' and z of the first wheel, which are linear on the ramp and after it.
     system = signals.StateSpace(A, np.column_stack([Bw @ wheels, Br @ wheels]), c, [[0.0, f @ wheels]])
@@ -108,9 +109,7 @@ def test_the_filter_of_a_band_is_at_least_one_there():
     for low, high in ((4 * HZ, 8 * HZ), (0.0, 8 * HZ), (4 * HZ, np.inf), (0.1, 300.0)):
         system = band_filter((low, high))
         omega = np.linspace(max(low, 1e-3), min(high, 1e3), 2000)
-        gains = [
-            abs((system.C @ np.linalg.solve(1j * w * np.eye(len(system.A)) - system.A, system.B) + system.D)[0, 0]) for w in omega
-        ]
+        gains = np.abs(system.frequency_response(omega)[:, 0, 0])
         assert min(gains) >= 1 - 1e-9
         assert max(gains) <= 1.005
 
@@ -132,7 +131,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
     driven = goal_problem(vehicle, entry, entry.goals).members[0].driven_by[0]
     K = np.array([[10824.0, -2071.0]])
     peak, (A, c) = peak_over_road(driven, K), driven.loop(K)
-    E, highest, x = A @ driven.Bw + driven.Br, 0.0, np.zeros(4)
+    E, highest, x = A @ driven.plant.Bw + driven.Br, 0.0, np.zeros(4)
     edges = [0.0, *driven.drive.kinks, driven.drive.end + 2.0]
     for start, end in itertools.pairwise(np.unique(edges)):
         found = solve_ivp(
@@ -146,7 +145,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
             max_step=(end - start) / 50,
         )
         t = np.linspace(start, end, 20001)
-        y = found.sol(t).T @ c + driven.drive.heights(t) @ (c @ driven.Bw + driven.f)
+        y = found.sol(t).T @ c + driven.drive.heights(t) @ (c @ driven.plant.Bw + driven.f)
         highest, x = max(highest, np.abs(y).max()), found.y[:, -1]
     assert highest <= peak.proved
     assert peak.value == pytest.approx(highest, rel=2e-5)  # what a slope without end leaves of the integration's digits

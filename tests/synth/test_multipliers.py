@@ -22,9 +22,9 @@ PRINTED_I = np.array([[10824.0, -2071.0]])
 EDGE = 0.2102735  # errors of both readings at which printed controller I is lost: by bisection over the corner
 
 
-def _car() -> tuple[GeneralizedPlant, np.ndarray]:
+def _car() -> GeneralizedPlant:
     designer = Designer(read_vehicle("quarter_car"))
-    return designer.plant, designer.problem(("suspension_deflection", "sprung_velocity")).Cy
+    return designer.problem(("suspension_deflection", "sprung_velocity")).plant
 
 
 def _random(seed: int, slack: float = 1.5, force: float = 0.2) -> ScaledGain:
@@ -38,7 +38,7 @@ def _random(seed: int, slack: float = 1.5, force: float = 0.2) -> ScaledGain:
     A -= (np.linalg.eigvals(A + B @ acting @ Cy).real.max() + slack) * np.eye(n)
     units, pace = 10.0 ** generator.uniform(-3, 3, n), 10.0 ** generator.uniform(-2, 2)
     A, B, Bw = (pace * part / units[:, None] for part in (A * units, B, Bw))
-    return scaled_gain(GeneralizedPlant(A, B, Bw, C * units, D, Dw), Cy * units, K, Dyw, through)
+    return scaled_gain(GeneralizedPlant(A, B, Bw, C * units, D, Dw).measured(Cy * units, Dyw, through), K)
 
 
 def _loops(gain: ScaledGain, box: Box, count: int):
@@ -58,7 +58,7 @@ def _gains(gain: ScaledGain, box: Box, omega: np.ndarray, count: int) -> float:
 
 def test_proved_up_to_the_edge():
     """Printed controller I is proved to be stable up to a thousandth below the errors at which it is lost, and not beyond."""
-    gain = scaled_gain(*_car(), PRINTED_I)
+    gain = scaled_gain(_car(), PRINTED_I)
     inside, beyond = (box_of(gain, share * EDGE, 0.0) for share in (0.999, 1.0001))
     proof = stable_in_box(gain, inside)
     assert proof is not None
@@ -71,10 +71,10 @@ def test_proved_up_to_the_edge():
 @pytest.mark.parametrize(("left", "proved"), [(1e-3, True), (1e-16, False)])
 def test_rounding_counts(left, proved):
     """A loop whose slowest pole is left of the axis by less than rounding may have taken is not proved to be stable."""
-    plant, Cy = _car()
-    poles = np.linalg.eigvals(plant.closed_loop(PRINTED_I @ Cy).A)
+    plant = _car()
+    poles = np.linalg.eigvals(plant.closed_loop(PRINTED_I @ plant.Cy).A)
     moved = replace(plant, A=plant.A - (poles.real.max() + left * np.abs(poles).max()) * np.eye(4))
-    assert stable_with_errors(moved, Cy, PRINTED_I, np.zeros(2), np.zeros(1)) == proved
+    assert stable_with_errors(moved, PRINTED_I, np.zeros(2), np.zeros(1)) == proved
 
 
 def test_random_boxes():
@@ -110,7 +110,7 @@ def test_no_sample_exceeds_a_bound(seed, low, high):
 
 def _everywhere():
     """Printed controller I, its errors, what multipliers prove at all frequencies, and the largest norm found by ascent."""
-    gain = scaled_gain(*_car(), PRINTED_I)
+    gain = scaled_gain(_car(), PRINTED_I)
     box, heights = box_of(gain, 0.1, 0.05), WorstCaseNormFunction(gain)
     local_maximum(heights, box)
     proof = bound_in_band(gain, box, 0.0, np.inf, heights.highest)
@@ -120,7 +120,7 @@ def _everywhere():
 
 def _in_band(low: float, high: float):
     """Printed controller I, its errors, what an X that moves proves in a band [Hz], and the largest gain found there."""
-    gain = scaled_gain(*_car(), PRINTED_I)
+    gain = scaled_gain(_car(), PRINTED_I)
     box, (low, high) = box_of(gain, 0.1, 0.05), (2 * np.pi * low, 2 * np.pi * high)
     largest = _gains(gain, box, np.linspace(low, min(high, 2 * np.pi * 40), 60), 80)
     proof = proof_in_band(gain, box, low, high, largest)
@@ -202,7 +202,7 @@ def test_eight_errors_of_a_half_car():
     designer = Designer(read_vehicle("half_car"))
     K = np.kron([[10000.0, -2500.0, 500.0]], np.eye(2))
     names = tuple(f"{name}_{corner}" for name in signals for corner in ("front", "rear"))
-    gain = scaled_gain(designer.plant, designer.problem(names).Cy, K)
+    gain = scaled_gain(designer.problem(names).plant, K)
     box, low, high = box_of(gain, 0.1, 0.05), np.pi, 6 * np.pi
     largest = _gains(gain, box, np.linspace(low, high, 60), 2000)
     proof = bound_in_band(gain, box, low, high, largest)

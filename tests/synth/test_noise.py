@@ -13,8 +13,7 @@ from synth.analysis.record import read_proof, to_record
 from synth.design.full_order.riccati import central_law
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, measurement_matrices
+from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError
 from tests.support.active_suspension import SCENARIOS, active_suspension
 from tests.support.commands import attacks
@@ -42,7 +41,7 @@ def smallest_gamma(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> 
     while high > low * (1 + 1e-4):
         middle = (low * high) ** 0.5
         try:
-            best, high = central_law(plant, Cy, Dyw, middle), middle
+            best, high = central_law(plant.measured(Cy, Dyw), middle), middle
         except InfeasibleError:
             low = middle
     assert best is not None
@@ -57,7 +56,7 @@ def test_bound_with_noise(seed, noise, through):
     plant, Cy, Dyw = noisy(seed, noise, through)
     gamma, law = smallest_gamma(plant, Cy, Dyw)
     bound = find_lower_bound(plant, Cy, Dyw=Dyw)
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    larger, G = plant.measured(Cy, Dyw).with_law(law)
     assert bound.gamma <= hinf_norm(larger.closed_loop(G)).value * (1 + 1e-9)  # rounding of the norm
     assert gamma * (1 - 1e-3) < bound.gamma
     assert find_lower_bound(plant, Cy).gamma <= bound.gamma * (1 + 1e-5)  # where the paths end
@@ -73,7 +72,7 @@ def test_no_controller_beats_it(seed):
         k, size = i % 4, 10.0 ** rng.uniform(-2, 1)
         B, C, D = (size * rng.standard_normal(shape) for shape in ((k, q), (m, k), (m, q)))
         law = LinearLaw(rng.standard_normal((k, k)) - 2 * np.eye(k), B, C, D)
-        larger, G = on_larger_plant(plant, Cy, law, Dyw)
+        larger, G = plant.measured(Cy, Dyw).with_law(law)
         loop = larger.closed_loop(G)
         if np.all(np.linalg.eigvals(loop.A).real < -1e-6):
             stable += 1
@@ -88,11 +87,9 @@ def test_zeros_of_what_is_measured():
     assert found.gamma == pytest.approx(1.0, rel=1e-8)  # how far below the best bound a proof may lie, 1e-9
     assert found.zeros is not None
     assert find_lower_bound(plant, np.array([[2.0]]), Dyw=np.eye(1)).gamma == 0
-    assert limit_at_zeros(plant, np.array([[-2.0]]), found.zeros, np.eye(1)) == found.gamma
-    direct = limit_at_zeros(plant, np.array([[-2.0]]), ((), ()))
-    assert (
-        limit_at_zeros(plant, np.array([[-2.0]]), found.zeros) == direct == pytest.approx(1.0, rel=1e-15)
-    )  # y is late: Dw stays
+    assert limit_at_zeros(plant.measured([[-2.0]], np.eye(1)), found.zeros) == found.gamma
+    direct = limit_at_zeros(plant.measured([[-2.0]]), ((), ()))
+    assert limit_at_zeros(plant.measured([[-2.0]]), found.zeros) == direct == pytest.approx(1.0, rel=1e-15)  # y is late: Dw stays
 
 
 def test_the_proof_is_kept():
@@ -102,14 +99,14 @@ def test_the_proof_is_kept():
     assert below.observer is not None
     assert below.state is not None
     _, law = smallest_gamma(plant, Cy, Dyw)
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    larger, G = plant.measured(Cy, Dyw).with_law(law)
     certificate = certify(larger, G, lower_bound=below)
     assert not certificate.failures
     record = {key: value for key, value in to_record(certificate).items() if key not in ("X", "bound")}
-    assert read_proof(record, plant, Cy, Dyw=Dyw)[2].gamma == below.gamma
-    assert prove_lower_bound(plant, below.state, Cy, below.observer, Dyw).gamma == below.gamma
-    assert read_proof(record, plant, Cy)[2].gamma < below.gamma
-    assert read_proof(record, plant, Cy, Dyw=0.5 * Dyw)[2].gamma < below.gamma
+    assert read_proof(record, plant.measured(Cy, Dyw))[2].gamma == below.gamma
+    assert prove_lower_bound(plant.measured(Cy, Dyw), below.state, below.observer).gamma == below.gamma
+    assert read_proof(record, plant.measured(Cy))[2].gamma < below.gamma
+    assert read_proof(record, plant.measured(Cy, 0.5 * Dyw))[2].gamma < below.gamma
 
 
 def test_a_road_that_is_measured():
@@ -118,25 +115,24 @@ def test_a_road_that_is_measured():
     preview = np.vstack([Cy, 0 * Cy[:1]]), np.vstack([Dyw, np.eye(1, Dyw.shape[1])])
     assert find_lower_bound(plant, preview[0], Dyw=preview[1]).gamma <= find_lower_bound(plant, Cy, Dyw=Dyw).gamma * (1 + 1e-6)
     feedforward = static_law(np.hstack([np.zeros((plant.B.shape[1], len(Cy))), np.ones((plant.B.shape[1], 1))]))
-    larger, G = on_larger_plant(plant, preview[0], feedforward, preview[1])
+    larger, G = plant.measured(preview[0], preview[1]).with_law(feedforward)
     np.testing.assert_allclose(larger.Bw - plant.Bw, plant.B @ np.ones((plant.B.shape[1], 1)) @ preview[1][-1:])
     assert not np.any(G.K @ G.Cy)
     with pytest.raises(InputError, match=rf"row {len(Cy)} of \[Cy Dyw\] is zero"):
-        measurement_matrices(plant, preview[0], np.vstack([Dyw, 0 * Dyw[:1]]))
+        plant.measured(preview[0], np.vstack([Dyw, 0 * Dyw[:1]]))
     with pytest.raises(InputError, match=rf"row {len(Cy)} of Cy is zero"):
-        measurement_matrices(plant, preview[0])
+        plant.measured(preview[0])
 
 
 @pytest.mark.attack
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_static_gains_of_the_active_suspension(scenario):
     """Static gains on the noisy signals of MathWorks' example come to 0.948, 0.728 and 1.226 at most, as was found elsewhere."""
-    plant, Cy, Dyw = active_suspension(scenario)
-    below = find_lower_bound(plant, Cy, Dyw=Dyw)
-    found = static_output_feedback(plant, Cy, lower_bound=below, Dyw=Dyw)
+    plant = active_suspension(scenario)
+    below = find_lower_bound(plant)
+    found = static_output_feedback(plant, lower_bound=below)
     assert found.certificate.norm.value < {0.01: 0.9485, 0.5: 0.7285, 0.99: 1.2270}[scenario]  # given with 3 digits, one cut off
     assert below.gamma < found.certificate.norm.value
     assert found.certificate.bound is not None
     assert not found.certificate.failures
-    larger, G = on_larger_plant(plant, Cy, static_law(found.gain), Dyw)
-    assert hinf_norm(larger.closed_loop(G)).value == found.certificate.norm.value
+    assert hinf_norm(plant.closed(static_law(found.gain))).value == found.certificate.norm.value

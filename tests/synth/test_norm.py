@@ -237,7 +237,7 @@ def test_level_crossings_with_feedthrough(seed):
     )
     at_infinity, top = float(np.linalg.norm(plant.Dw, 2)), hinf_norm(plant).value
     for level in (1.01 * at_infinity, 0.5 * (1.2 * at_infinity + top), 0.99 * top):
-        crossings = level_crossings(plant.A, plant.Bw, plant.C, plant.Dw, level)
+        crossings = level_crossings(plant, level)
         dense = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4000)])
         values = np.linalg.svd(plant.frequency_response(dense), compute_uv=False) - level
         for i, k in np.argwhere(values[:-1] * values[1:] < 0):
@@ -255,8 +255,9 @@ def test_level_crossings_in_any_units(time, of_states, of_z):
     A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(6)
     Bw, C, Dw = rng.standard_normal((6, 2)), rng.standard_normal((3, 6)), rng.standard_normal((3, 2))
     level = 1.01 * float(np.linalg.norm(Dw, 2))
-    expected = level_crossings(A, Bw, C, Dw, level)
-    found = time * level_crossings(A / time, Bw / time / of_states, C * of_states * of_z, Dw * of_z, level * of_z)
+    expected = level_crossings(system(A, Bw, C, Dw), level)
+    there = system(A / time, Bw / time / of_states, C * of_states * of_z, Dw * of_z)
+    found = time * level_crossings(there, level * of_z)
     for omega in expected:  # others may be proposed, at which nothing crosses
         if np.abs(np.linalg.svd(C @ np.linalg.inv(1j * omega * np.eye(6) - A) @ Bw + Dw)[1] / level - 1).min() < 1e-9:
             assert np.abs(found - omega).min() < 1e-9 * expected[-1]  # rounding, measured 1e-14

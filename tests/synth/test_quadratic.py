@@ -14,7 +14,6 @@ from synth.analysis.norm import hinf_norm
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
-from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
@@ -27,7 +26,7 @@ SLOW = "sprung_acceleration = 1.0\nsuspension_deflection = 0.1\ntyre_deflection 
 
 def loop_of(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray | None = None) -> GeneralizedPlant:
     """The closed loop."""
-    larger, G = on_larger_plant(plant, Cy, law, Dyw)
+    larger, G = plant.measured(Cy, Dyw).with_law(law)
     return larger.closed_loop(G)
 
 

@@ -15,13 +15,12 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
-from synth.design.full_order.sampled_data import WITHIN, law_gain, sampled_full_order
+from synth.design.full_order.sampled_data import WITHIN, sampled_full_order
 from synth.design.sampled_data import held_design, norm_of, two_steps
 from synth.design.two_step import state_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sampled_bound import find_sampled_bound
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import GeneralizedPlant, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, certify_given
 from tests.support.commands import attacks, main_of
@@ -57,14 +56,15 @@ def test_the_second_step_by_another_solver(paper, name):
     plant, Cy = Designer(paper).plant, ROWS[name]
     units = np.diag([0.77, 0.045, 0.9, 2.9])  # of the states; Clarabel gives up in SI units
     plant = plant.in_coordinates(units).with_inputs(1e4 * np.eye(1))
-    problem = SampledDataProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),))
+    problem = SampledDataProblem(plant.measured(Cy @ units), (HoldInterval(0.01, 0),))
     gain, level = two_steps(problem, 7.8, None)
-    _, alone = two_steps(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8, None)
+    _, alone = two_steps(replace(problem, plant=plant.measured(EYE)), 7.8, None)
     at_best, held = problem.at(alone), problem.at(level)
     assert at_best is not None
     assert held is not None
-    Q = nullspace(problem.Cy)
-    R = r_matrix(problem.Cy, Q, l_matrix(state_path(at_best)[-1].X, problem.Cy, Q))
+    rows = problem.plant.Cy
+    Q = nullspace(rows)
+    R = r_matrix(rows, Q, l_matrix(state_path(at_best)[-1].X, rows, Q))
     n, (q, d) = 4, (len(Cy), len(held.C))
     X, eta = cp.Variable((n, n), symmetric=True), cp.Variable()
     W_R, Y_R = cp.Variable((q, q)), cp.Variable((1, q))
@@ -175,7 +175,7 @@ def test_what_no_gain_stabilises():
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(DesignError, match=r"^no static gain found; measure .*; the two-step method: .*\(25\)") as caught:
-        held_design(SampledDataProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (HoldInterval(0.1, 0),)), 2.0)
+        held_design(SampledDataProblem(plant.measured([[1.0, 0]]), (HoldInterval(0.1, 0),)), 2.0)
     assert not isinstance(caught.value, InfeasibleError)
     assert "\n" not in str(caught.value)
 
@@ -226,7 +226,7 @@ def test_never_worse_than_what_is_there(name, controller, period, delay):
 @pytest.mark.parametrize(("period", "delay", "known"), [(0.5, 0, 29.76), (0.2, 0, 8.508), (0.1, 1, 10.48), (0.5, 1, 20.83)])
 def test_descent_finds_the_valley(paper, period, delay, known):
     """For one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
-    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (HoldInterval(period, delay),))
+    problem = SampledDataProblem(Designer(paper).plant.measured(ROWS["II"]), (HoldInterval(period, delay),))
     found = held_design(problem, 7.8, [Designer(paper).design("II").law.D])
     tried = [norm_of(problem, np.array([[sign * k]]), 8.0) for sign in (-1, 1) for k in np.geomspace(50, 1e4, 12)]
     assert found.norm <= known
@@ -328,7 +328,7 @@ def test_the_bound_is_where_the_law_ends():
     for level in (found.norm * (1 - 1e-6), found.norm * (1 + 1e-6)):  # well beyond what a norm's own levels are apart
         plant = problem.at(level)
         assert plant is not None
-        larger, G = on_larger_plant(plant, problem.rows, found.law)
+        larger, G = plant.with_law(found.law)
         assert (hinf_norm(larger.closed_loop(G)).value < 1) == (level > found.norm)
     assert found.norm < 8.07702 * (1 - 0.02)  # what states buy against the best static gain
 
@@ -364,7 +364,7 @@ def test_example_of_a_manual(period, of_example):
     """For the plant of MATLAB's sdhinfnorm, [1; 1] p [1 1], p = 30 / (s (s + 30)), a law is better than the example's -k."""
     A, B, C = np.array([[0.0, 1.0], [0.0, -30.0]]), np.array([[0.0], [30.0]]), np.array([[1.0, 0.0]])
     plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
-    problem = SampledDataProblem(plant, C, np.zeros((1, 1)), (HoldInterval(period, 0),))
+    problem = SampledDataProblem(plant.measured(C), (HoldInterval(period, 0),))
     bound = find_sampled_bound(problem, of_example)
     assert bound is not None
     assert bound.holds

@@ -17,7 +17,6 @@ from synth.design.descent.starts import stabilise
 from synth.design.static import static_output_feedback
 from synth.lmi.central_path import central_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
-from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from tests.benchmarks.compleib import held
@@ -46,7 +45,7 @@ def random_plant(seed: int, n=5, m=2, r=2, feedthrough=0.0) -> tuple[Generalized
 
 
 def stable_point(plant: GeneralizedPlant, Cy: np.ndarray) -> tuple[Landscape, np.ndarray]:
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant.measured(Cy))
     x = stabilise(landscape, np.zeros(Cy.shape[0] * plant.B.shape[1]), np.full(4, 1e6), patient=False)
     assert x is not None
     return landscape, x
@@ -77,11 +76,11 @@ def sampled(seed: int, noise: float) -> Posed:
 def test_landscape(pose, seed, more):
     """Height is the norm of the loop, slope and curvature are difference quotients, and no cut exceeds it: of every plant."""
     plant, Cy, Dyw = pose(seed, more)
-    landscape, rng = Landscape(plant, Cy, Dyw), np.random.default_rng(seed)
+    landscape, rng = Landscape(plant.measured(Cy, Dyw)), np.random.default_rng(seed)
     start = landscape.point(0.02 * rng.standard_normal(landscape.shape))
     x = stabilise(landscape, start, np.full(len(start), 1e6), patient=False)
     assert x is not None
-    larger, gain = on_larger_plant(plant, Cy, static_law(landscape.gain(x)), Dyw)
+    larger, gain = plant.measured(Cy, Dyw).with_law(static_law(landscape.gain(x)))
     height, at = landscape.norm(x)
     assert height == pytest.approx(hinf_norm(larger.closed_loop(gain)).value, rel=1e-8)  # where each stops
     slope, steps = landscape.slope(x, at), np.eye(len(x))
@@ -107,7 +106,7 @@ def test_state_feedback_by_descent_is_the_lmi_optimum(seed):
     plant, _ = random_plant(seed)
     n = len(plant.A)
     optimum = central_path(plant, np.zeros((n, 0)), np.eye(n), 1e-6)[-1].gamma
-    landscape = Landscape(plant, np.eye(n))
+    landscape = Landscape(plant.measured(np.eye(n)))
     start = landscape.point(central_path(plant, np.zeros((n, 0)), np.eye(n), 1.0)[-1].K)
     _, norm = along_edges(landscape, start, np.full(len(start), 1e4), 300)
     assert norm == pytest.approx(optimum, rel=2e-3)  # the infimum of two of them lies at infinite gain; measured 4e-5 to 1e-3

@@ -26,8 +26,8 @@ Car = tuple[GeneralizedPlant, Array]
 @pytest.fixture(scope="module")
 def car() -> Car:
     """The quarter-car's plant and what controller I measures of it."""
-    designer = Designer(read_vehicle("quarter_car"))
-    return designer.plant, designer.problem(("suspension_deflection", "sprung_velocity")).Cy
+    posed = Designer(read_vehicle("quarter_car")).problem(("suspension_deflection", "sprung_velocity"))
+    return posed.plant.unmeasured, posed.plant.Cy
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_nothing_in_the_box_exceeds_what_is_proved(seed):
         return
     assert at == pytest.approx(worst.found, rel=1e-8)  # two ways to close one loop, in units eight decades apart
     assert worst.found <= worst.proved
-    gain = scaled_gain(plant, Cy, K, Dyw, through)
+    gain = scaled_gain(plant.measured(Cy, Dyw, through), K)
     assert worst.proof is None or worst.proof.holds(gain, box_of(gain, d, e))
     _sampled(worst, loop, 40, generator, d, e)
 
@@ -129,7 +129,7 @@ def test_a_law_with_states_stands_between_its_errors(seed):
 
     def loop(readings, forces) -> float:
         off = LinearLaw(law.A, law.B * readings, forces[:, None] * law.C, forces[:, None] * law.D * readings)
-        gain = scaled_gain(plant, Cy, off, Dyw)
+        gain = scaled_gain(plant.measured(Cy, Dyw), off)
         return norm_at(gain, np.ones(sum(gain.K.shape)))
 
     same = law.read_as(1 + d).scaled(1 + e)
@@ -157,7 +157,7 @@ def test_a_maximum_inside_is_found():
 
 def test_a_proof_is_of_its_box_and_its_bound(car: Car):
     """A proof holds for its box; not for a lower bound, a larger box, another gain, nor with a part or half of one missing."""
-    gain = scaled_gain(*car, PRINTED_I)
+    gain = scaled_gain(car[0].measured(car[1]), PRINTED_I)
     box = box_of(gain, 0.2, 0.0)
     proof = worst_norm(*car, PRINTED_I, 0.2).proof
     assert proof is not None
@@ -165,7 +165,7 @@ def test_a_proof_is_of_its_box_and_its_bound(car: Car):
     assert proof.holds(gain, box)
     assert not replace(proof, eta=eta_of(29.3)).holds(gain, box)  # below the norm at a corner
     assert not proof.holds(gain, box_of(gain, 0.2001, 0.0))
-    assert not proof.holds(scaled_gain(*car, 1.01 * PRINTED_I), box)
+    assert not proof.holds(scaled_gain(car[0].measured(car[1]), 1.01 * PRINTED_I), box)
     assert not replace(proof, parts=proof.parts[1:]).holds(gain, box)
     first, X = proof.parts[0]
     axis = int(first.uncertain[0])
@@ -192,7 +192,7 @@ def test_no_answer_inside_the_box_is_no_proof():
     """A force that comes back 0.95 times in its own reading comes back whole with an error of 5.3 %: nothing is proved there."""
     plant = GeneralizedPlant(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
     Cy, K, through = np.array([[-1.0]]), np.array([[1.0]]), np.array([[0.95]])
-    gain = scaled_gain(plant, Cy, K, None, through)
+    gain = scaled_gain(plant.measured(Cy, None, through), K)
     assert gain.well_posed(box_of(gain, 0.05, 0.0))
     assert not gain.well_posed(box_of(gain, 0.06, 0.0))
     near = worst_norm(plant, Cy, K, 0.05, 0.0, None, through)
@@ -207,11 +207,11 @@ def test_on_the_verge_is_no_proof():
     """
     one = np.ones((1, 1))
     plant = GeneralizedPlant(-one, one, one, one, 0 * one, 0 * one)
-    gain = scaled_gain(plant, one, 0 * one)
+    gain = scaled_gain(plant.measured(one), 0 * one)
     box = box_of(gain, 0.1, 0.0)
     assert not proves(gain, box, one, 1.0)
     assert proves(gain, box, one, eta_of(1 + 1e-9))
-    unstable = scaled_gain(replace(plant, A=one), one, 0.1 * one)
+    unstable = scaled_gain(replace(plant, A=one).measured(one), 0.1 * one)
     box = box_of(unstable, 0.5, 0.0)
     assert np.linalg.eigvalsh(lmi(unstable.loops(box.vertices), -one, 1e-2)).max() < 0  # or this is no such X
     assert not proves(unstable, box, -one, 1e-2)
@@ -229,7 +229,7 @@ def test_a_discrete_plant_with_a_pole_at_minus_one():
         dt=0.1,
     )
     Cy, K = np.eye(2), np.array([[0.5, -0.1]])
-    assert np.any(scaled_gain(plant, Cy, K).before)  # or it is mapped as it is
+    assert np.any(scaled_gain(plant.measured(Cy), K).before)  # or it is mapped as it is
     worst = worst_norm(plant, Cy, K, 0.2)
     assert hinf_norm(plant.closed_loop(K * (1 + worst.readings))).value == pytest.approx(worst.found, rel=1e-9)  # two ways
     generator = np.random.default_rng(0)
@@ -240,7 +240,7 @@ def test_slopes_are_those_of_differences():
     """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
     plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
     through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
-    heights = WorstCaseNormFunction(scaled_gain(plant, Cy, K, Dyw, through))
+    heights = WorstCaseNormFunction(scaled_gain(plant.measured(Cy, Dyw, through), K))
     at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
     ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
     assert np.all(np.isfinite(ends))  # or there is no slope

@@ -443,7 +443,7 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     """If rounding leaves no proof of a bound the gain comes with its norm, and that there is no bound is said."""
     monkeypatch.setattr("synth.design.two_step.MOST", 14)
     monkeypatch.setattr(
-        "synth.design.static.certify_tightly", lambda plant, G, below, by_itself: certify(plant, G, lower_bound=below)
+        "synth.design.static.certify_law", lambda plant, law, below: certify(*plant.with_law(law), lower_bound=below)
     )
     found = Designer(designer.vehicle).design("II")
     assert found.certificate.bound is None

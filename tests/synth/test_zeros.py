@@ -81,11 +81,11 @@ def test_zeros_are_all_there_is_to_state_feedback(seed):
 def test_zeros_of_both_kinds_are_all_there_is_to_output_feedback():
     """For one z, u, w, y the zeros of both kinds prove what central controllers of full order come to; either alone much less."""
     plant, Cy = unstable()
-    gamma, (of_z, of_y) = zero_limit(plant, Cy)
-    assert limit_at_zeros(plant, Cy, (of_z, of_y)) == gamma  # to the last bit: so says a record
+    gamma, (of_z, of_y) = zero_limit(plant.measured(Cy))
+    assert limit_at_zeros(plant.measured(Cy), (of_z, of_y)) == gamma  # to the last bit: so says a record
     assert len(of_z) == 1
     assert len(of_y) == 2
-    alone = [limit_at_zeros(plant, Cy, some) for some in ((of_z, ()), ((), of_y))]
+    alone = [limit_at_zeros(plant.measured(Cy), some) for some in ((of_z, ()), ((), of_y))]
     assert max(alone) < 0.5 * gamma
     assert find_lower_bound(plant, Cy).gamma == gamma  # stable zeros leave the dual no point inside
     reached = []
@@ -114,7 +114,7 @@ def test_what_every_zero_says_alike_is_the_norm():
     Cy = np.array([[0.0, 2.0, -1.0]])
     left, right = (1 + 0j,), (2 + 0j,)
     for which in ((left, right), (left, ()), ((), right)):
-        gamma = limit_at_zeros(plant, Cy, which)
+        gamma = limit_at_zeros(plant.measured(Cy), which)
         assert gamma < 0.7
         assert gamma == pytest.approx(0.7, rel=2e-6)  # the second of SHORT
 
@@ -123,17 +123,17 @@ def test_what_every_zero_says_alike_is_the_norm():
 def test_what_points_prove_is_no_more(seed):
     """Whatever points are named as zeros, none proves more than the zeros do where all are there, in any units."""
     plant, Cy = a_plant(KIND, seed)
-    gamma, zeros = zero_limit(plant, Cy)
+    gamma, zeros = zero_limit(plant.measured(Cy))
     moved, Cy_moved = in_other_units(plant, Cy, seed)
-    assert zero_limit(moved, Cy_moved)[0] == pytest.approx(gamma, rel=1e-6)  # two of SHORT
+    assert zero_limit(moved.measured(Cy_moved))[0] == pytest.approx(gamma, rel=1e-6)  # two of SHORT
     best = find_lower_bound(plant, Cy).gamma
     assert best >= gamma
     rng = np.random.default_rng(seed)
     for _ in range(5):
         some = [complex(a, b) for a, b in rng.standard_normal((4, 2)) * 10.0 ** rng.integers(-3, 4)]
-        assert limit_at_zeros(plant, Cy, (some[:2], some[2:])) <= best * (1 + 1e-6)
+        assert limit_at_zeros(plant.measured(Cy), (some[:2], some[2:])) <= best * (1 + 1e-6)
     for bad in (0j, complex(np.inf), complex(np.nan, 1), 1e300 + 0j):
-        assert limit_at_zeros(plant, Cy, ((bad, *zeros[0]), (*zeros[1], bad))) <= best * (1 + 1e-6)
+        assert limit_at_zeros(plant.measured(Cy), ((bad, *zeros[0]), (*zeros[1], bad))) <= best * (1 + 1e-6)
 
 
 def test_a_solution_is_enclosed_just_where_the_worst_equation_has_one():
@@ -161,25 +161,26 @@ def test_a_zero_that_is_not_one_is_not_enclosed():
     for zero in (-1.0, 0.0):
         A, B = np.array([[0.0, 1.0], [-2.0, -3.0]]), np.array([[0.0], [1.0]])
         plant = GeneralizedPlant(A, B, np.eye(2), np.array([[-zero, 1.0]]), np.zeros((1, 1)), np.zeros((1, 2)))
-        assert limit_at_zeros(plant, None, ((complex(zero),), ())) == 0
+        assert limit_at_zeros(plant, ((complex(zero),), ())) == 0
     one, none = np.ones((1, 2)), np.zeros((2, 1))
     everywhere = GeneralizedPlant(np.diag([1.0, 2.0]), none, np.eye(2), one, np.zeros((1, 1)), np.zeros((1, 2)))
-    assert limit_at_zeros(everywhere, None, ((1 + 0j,), ())) == 0
+    assert limit_at_zeros(everywhere, ((1 + 0j,), ())) == 0
     A, C = linalg.companion(np.poly([1.0, 1.0, -1.0])), np.array([[1.0, 2.0, 3.0]])  # A are its zeros, where D = 1
     B = np.eye(3)[:, :1]
     plant = GeneralizedPlant(A + B @ C, B, np.eye(3), C, np.eye(1), np.zeros((1, 3)))
-    assert limit_at_zeros(plant, None, ((1 + 0j,), ())) <= state_feedback(plant, 1e-7)[-1].gamma
+    assert limit_at_zeros(plant, ((1 + 0j,), ())) <= state_feedback(plant, 1e-7)[-1].gamma
 
 
 def test_the_record_of_zeros():
     """A record of a bound by zeros is confirmed from the zeros alone, and one that claims more is not."""
     plant, Cy = unstable()
-    gamma, zeros = zero_limit(plant, Cy)
+    plant = plant.measured(Cy)
+    gamma, zeros = zero_limit(plant)
     certificate = certify(plant, np.zeros((1, 4)), lower_bound=LowerBound(gamma, zeros=zeros))
     record = to_record(certificate)
     assert record["zeros"] == [[[zero.real, zero.imag] for zero in kind] for kind in zeros]
-    assert read_proof(record, plant, Cy)[2].gamma == gamma
+    assert read_proof(record, plant)[2].gamma == gamma
     for change in ([], [[1.0, 2.0]], [[[1.0]], []], [[["x", 0]], []], [[[float("nan"), 0]], []], 3):
         with pytest.raises(InputError, match="zeros"):
-            read_proof({**record, "zeros": change}, plant, Cy)
-    assert read_proof({**record, "zeros": [[[99.0, 0.0]], []]}, plant, Cy)[2].gamma < gamma
+            read_proof({**record, "zeros": change}, plant)
+    assert read_proof({**record, "zeros": [[[99.0, 0.0]], []]}, plant)[2].gamma < gamma

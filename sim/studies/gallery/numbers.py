@@ -20,7 +20,7 @@ from sim.studies.ride.step_response import SignalSteps, measure_step
 from synth.analysis.specification import ROBUST_PERFORMANCE
 from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
@@ -106,7 +106,7 @@ def _white(designer: Designer, one: PrintedNumber) -> float:
     model = designer.vehicle.linear_model
     row = model.C[[model.outputs.index(one.signal)]]
     nothing, (r,) = np.zeros((1, 0)), model.Bw.shape[1:]
-    return h2_norm(GeneralizedPlant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r))))
+    return h2_norm(Plant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r))))
 
 
 def _pole(designer: Designer, one: PrintedNumber) -> float:

@@ -86,7 +86,7 @@ def find_fragility(
     """The errors that a loop bears, with an actuator's lag if the vehicle's have one; physics runs along the worst of them."""
     lag = replace(controller.hardware, bandwidth=vehicle.limits.actuator_bandwidth or controller.hardware.bandwidth)
     posed, law = problem(vehicle.without_integrals, controller.measured, lag), controller.law.continuous()
-    gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.feedthrough)
+    gain = scaled_gain(posed.plant, law)
     predicted = fragility(gain, posed.of_heights is None)
 
     def trial(amount: float) -> Trial:

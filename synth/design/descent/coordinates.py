@@ -24,10 +24,9 @@ SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
     """Returns M, shape (N, N), at a stable point x: with x + M t for the point, t has these coordinates."""
-    A, C = landscape.loop(x)
-    triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
-    ports = landscape.ports(x)
-    w, y, u, z = basis.T @ landscape.disturbed(x)[0], ports.Cy @ basis, basis.T @ ports.B, C @ basis
+    loop = landscape.loop(x)
+    triangle, basis = linalg.schur(loop.A)  # pyright: ignore[reportAssignmentType]
+    w, y, u, z = basis.T @ loop.Bw, loop.Cy @ basis, basis.T @ loop.B, loop.C @ basis
     # Gramians: what w reaches, and what z sees. On the border of stability LAPACK moves the poles a little: as good a scale.
     reached, scale, _ = lapack.dtrsyl(triangle, triangle, -w @ w.T, trana="N", tranb="T")
     seen, other, _ = lapack.dtrsyl(triangle, triangle, -z.T @ z, trana="T", tranb="N")

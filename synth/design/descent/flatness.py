@@ -7,24 +7,23 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 SMALLEST = 1e-4  # of an entry's scale: the first step
 STEPS, HALVINGS = 16, 8  # fourfold steps, beyond which a move is of any size; then to a hundredth of itself
 
 
-def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tuple[Array, Array, Array]:
+def free_moves(plant: Plant, K: Array, share: float) -> tuple[Array, Array, Array]:
     """For each measurement the largest gain on it, and how far that entry may fall and rise.
 
     Args:
-        Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
         share: relative increase of the norm that is allowed.
 
     Returns:
         Gain, fall and rise, each of shape (q,); the last two >= 0, and infinite where no move matters.
     """
-    landscape = Landscape(plant, Cy)
+    landscape = Landscape(plant)
     x = landscape.point(K)
     allowed = landscape.norm(x)[0] * (1 + share)
     q = K.shape[1]

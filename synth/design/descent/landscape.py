@@ -19,50 +19,30 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings, transfer_matrix
+from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings
 from synth.analysis.stability import balance
 from synth.plant.discrete import mapped
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 FAR = 1e4  # times the fastest pole
 POLES = 0.3  # of the work of a norm: the poles alone
 
 
 @dataclass(frozen=True, eq=False)
-class Ports:
-    """Inputs and outputs of a change of K: it acts through B and D, on C_y x + Dyw w and, by Dyu, on itself.
+class Modes:
+    """A closed loop and its modes.
 
     Attributes:
-        B, D, Cy, Dyw, Dyu: shapes (n, m), (d, m), (q, n), (q, r) and (q, m).
-        after: (I - K Dyu)^-1, shape (m, m).
-    """
-
-    B: Array
-    D: Array
-    Cy: Array
-    Dyw: Array
-    Dyu: Array
-    after: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A closed loop.
-
-    Attributes:
-        A, Bw, C, Dw: A + B K C_y, Bw + B K Dyw, C + D K C_y and Dw + D K Dyw.
+        loop: the loop, see `Landscape.loop`.
         poles: shape (n,).
         residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
             responses cheap; None if eigenvectors lose too many digits.
         vectors: the right eigenvectors, and the left ones as the rows of their inverse, shapes (n, n); None likewise.
     """
 
-    A: Array
-    Bw: Array
-    C: Array
-    Dw: Array
+    loop: Plant
     poles: Array
-    residues: Array | None
+    residues: Array | None = None
     vectors: tuple[Array, Array] | None = None
 
     @cached_property
@@ -73,7 +53,7 @@ class Loop:
     @cached_property
     def at_infinity(self) -> float:
         """The gain at an infinite frequency."""
-        return float(np.linalg.norm(self.Dw, 2)) if self.Dw.any() else 0.0
+        return float(np.linalg.norm(self.loop.Dw, 2)) if self.loop.Dw.any() else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,44 +136,33 @@ class Landscape:
 
     def __init__(
         self,
-        plant: GeneralizedPlant,
-        Cy: Array,
-        Dyw: Array | None = None,
-        through: Array | None = None,
+        plant: Plant,
         structure: Array | None = None,
         work: Work | None = None,
     ) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
-        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
+        plant: n states, m inputs, r disturbances and q measurements.
         structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
         work: counts the norms; without a limit if it is not given.
         """
-        where = mapped(plant, Cy, Dyw)
-        plant, Cy, self.Dyw, self.before = where.plant, where.Cy, where.Dyw, where.before
-        self.Dyu = where.Dyu if through is None else where.Dyu + through
-        self.through = bool(np.any(self.Dyu))
-        self.A, self.balancing = balance(plant.A)
-        balancing = self.balancing
-        self.B, self.Bw = plant.B / balancing[:, None], plant.Bw / balancing[:, None]
-        self.C, self.Cy = plant.C * balancing, Cy * balancing
-        self.D, self.Dw = plant.D, plant.Dw
-        self.noisy = bool(np.any(self.Dyw))
-        self.shape = (self.B.shape[1], len(self.Cy))
-        columns, rows = np.linalg.norm(self.B, axis=0), np.linalg.norm(self.Cy, axis=1)
-        rate = float(np.linalg.norm(self.A, 2)) or 1.0
+        image, self.before = mapped(plant)
+        A, self.balancing = balance(image.A)
+        each = self.balancing[:, None]
+        inputs = {"B": image.B / each, "Bw": image.Bw / each}
+        plant = image.unchecked(A=A, C=image.C * self.balancing, Cy=image.Cy * self.balancing, **inputs)
+        self.plant, self.through, self.noisy = plant, bool(np.any(plant.Dyu)), bool(np.any(plant.Dyw))
+        self.shape = plant.Dyu.T.shape
+        columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
+        rate = float(np.linalg.norm(A, 2)) or 1.0
         columns = np.where(columns > 0, columns, 1.0)
-        of_forces = np.linalg.norm(self.Dyu * rate / columns, axis=1)  # readings of forces alone
+        of_forces = np.linalg.norm(plant.Dyu * rate / columns, axis=1)  # readings of forces alone
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
         self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
-        self.work, self.price = work or Work(), price(len(self.A), self.scale.size if self.free is None else len(self.free))
+        self.work, self.price = work or Work(), price(len(A), self.scale.size if self.free is None else len(self.free))
         self.peaks: list[float] = []
-        self.last: tuple[bytes, Loop] | None = None
-        self.last_ports: tuple[bytes, Ports] | None = None
-        self.straight = Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu, np.eye(self.shape[0]))
+        self.last: tuple[bytes, Plant] | None = None
+        self.last_modes: Modes | None = None
 
     def gain(self, x: Array) -> Array:
         """K of a point, or of many, shape (..., m, q)."""
@@ -217,73 +186,75 @@ class Landscape:
         if not self.through:
             return K
         if x.ndim == 1:
-            return self.ports(x).after @ K
+            return self.after(x) @ K
         with contextlib.suppress(np.linalg.LinAlgError):  # a loop has no answer
-            return np.linalg.solve(np.eye(self.shape[0]) - K @ self.Dyu, K)
+            return np.linalg.solve(np.eye(self.shape[0]) - K @ self.plant.Dyu, K)
         return np.full_like(K, np.nan)
+
+    def after(self, x: Array) -> Array:
+        """Returns (I - K Dyu)^-1 of a point, shape (m, m); NaN if that does not exist."""
+        eye = np.eye(self.shape[0])
+        if not self.through:
+            return eye
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.linalg.inv(eye - (self.gain(x) - self.before) @ self.plant.Dyu)
+        return np.full_like(eye, np.nan)
 
     def point_acting(self, K: Array) -> Array:
         """The point of a gain that acts so, shape (N,)."""
         if self.through:
-            K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.Dyu, K)
+            K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.plant.Dyu, K)
         return self.point(K + self.before)
 
-    def loop(self, x: Array) -> tuple[Array, Array]:
-        """A + B K C_y and C + D K C_y."""
-        G = self.acting(x) @ self.Cy
-        return self.A + self.B @ G, self.C + self.D @ G
+    def loop(self, x: Array) -> Plant:
+        """Returns the plant under the gain of a point, u = K y + (a new u); the last one is remembered.
 
-    def disturbed(self, x: Array) -> tuple[Array, Array]:
-        """Bw + B K Dyw and Dw + D K Dyw."""
-        if not self.noisy:
-            return self.Bw, self.Dw
-        through = self.acting(x) @ self.Dyw
-        return self.Bw + self.B @ through, self.Dw + self.D @ through
-
-    def ports(self, x: Array) -> Ports:
-        """Returns the matrices through which a change of the gain acts at a point; the last result is cached."""
-        if not self.through:
-            return self.straight
+        Its matrices are what a change of the gain acts through, on y and by Dyu on itself. They are NaN without a solution.
+        """
         key = x.tobytes()
-        if self.last_ports is None or self.last_ports[0] != key:
-            K = self.gain(x) - self.before
-            after = np.full((len(K), len(K)), np.nan)
-            with contextlib.suppress(np.linalg.LinAlgError):  # the loop has no answer
-                after = np.linalg.inv(np.eye(len(K)) - K @ self.Dyu)
-            before = np.eye(K.shape[1]) + self.Dyu @ after @ K
-            ports = Ports(self.B @ after, self.D @ after, before @ self.Cy, before @ self.Dyw, self.Dyu @ after, after)
-            self.last_ports = key, ports
-        return self.last_ports[1]
+        if self.last is None or self.last[0] != key:
+            plant, K, ports = self.plant, self.gain(x) - self.before, {}
+            if self.through:
+                after = self.after(x)
+                before = np.eye(self.shape[1]) + plant.Dyu @ after @ K
+                ports = {"B": plant.B @ after, "D": plant.D @ after, "Cy": before @ plant.Cy}
+                ports |= {"Dyw": before @ plant.Dyw, "Dyu": plant.Dyu @ after}
+                K = after @ K
+            G = K @ plant.Cy
+            parts = {"A": plant.A + plant.B @ G, "C": plant.C + plant.D @ G} | ports
+            if self.noisy:
+                of_noise = K @ plant.Dyw
+                parts |= {"Bw": plant.Bw + plant.B @ of_noise, "Dw": plant.Dw + plant.D @ of_noise}
+            self.last = key, plant.unchecked(**parts)
+        return self.last[1]
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (N,); infinite where the loop is not finite itself."""
         self.work.done += POLES * self.price
-        A, _ = self.loop(x)
-        if not np.isfinite(A).all():
+        loop = self.loop(x)
+        if not np.isfinite(loop.A).all():
             return np.inf, np.full(x.shape, np.nan)
-        poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+        poles, left, right = (np.asarray(part) for part in linalg.eig(loop.A, left=True, right=True))
         i = int(np.argmax(np.real(poles)))
         left, right = left[:, i].conj(), right[:, i]
-        ports = self.ports(x)
-        slope = np.real(np.outer(left @ ports.B, ports.Cy @ right) / (left @ right))
+        slope = np.real(np.outer(left @ loop.B, loop.Cy @ right) / (left @ right))
         return float(np.real(poles[i])), self.of_entries(slope * self.scale)
 
-    def _closed(self, x: Array) -> Loop:
-        """The loop of a point; the last one is remembered."""
-        key = x.tobytes()
-        if self.last is None or self.last[0] != key:
-            (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
-            if not all(np.isfinite(part).all() for part in (A, C, Bw, Dw)):
-                return Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
-            poles, V = np.linalg.eig(A)
+    def modes(self, x: Array) -> Modes:
+        """The loop of a point and its modes; the last one is remembered."""
+        loop = self.loop(x)
+        if self.last_modes is None or self.last_modes.loop is not loop:
+            if not all(np.isfinite(part).all() for part in (loop.A, loop.C, loop.Bw, loop.Dw)):
+                return Modes(loop, np.full(len(loop.A), np.nan))
+            poles, V = np.linalg.eig(loop.A)
             residues = vectors = None
             with contextlib.suppress(np.linalg.LinAlgError):
                 inverse = np.linalg.inv(V)
                 if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
-                    seen, driven = (C @ V).T, inverse @ Bw
+                    seen, driven = (loop.C @ V).T, inverse @ loop.Bw
                     residues, vectors = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1), (V, inverse)
-            self.last = key, Loop(A, Bw, C, Dw, poles, residues, vectors)
-        return self.last[1]
+            self.last_modes = Modes(loop, poles, residues, vectors)
+        return self.last_modes
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
         """Returns the norm and its peak frequency [rad/s]; infinite if the loop is unstable or not finite.
@@ -292,22 +263,22 @@ class Landscape:
             above: the search ends early, with a lower bound, once the norm is known to exceed this.
         """
         self.work.done += self.price
-        loop = self._closed(x)
-        poles = loop.poles
+        modes = self.modes(x)
+        poles = modes.poles
         if not (np.real(poles) < -1e-13 * np.abs(poles).max()).all():
             return np.inf, np.nan
         upper = poles[np.imag(poles) >= 0]
-        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, loop.far[: self.noisy]])
-        best, at = loop.at_infinity, np.inf
+        omega = np.concatenate([[0.0], np.imag(upper), np.abs(upper), self.peaks, modes.far[: self.noisy]])
+        best, at = modes.at_infinity, np.inf
         for turn in range(30):
-            gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
+            gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
             elif turn or best == 0:  # a peak may stand where no pole says, above the gain at infinity
                 break
             if best > above:
                 break
-            omega = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR))
+            omega = level_crossings(modes.loop, best * (1 + NEAR))
             omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
         if np.isfinite(at):
             self.peaks = [*self.peaks[-5:], at]
@@ -315,17 +286,17 @@ class Landscape:
 
     def slope(self, x: Array, at: float) -> Array:
         """Slope of the largest singular value at a frequency, shape (N,)."""
-        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
+        loop = self.loop(x)
         if not np.isfinite(at):
-            U, _, Vh = np.linalg.svd(Dw, full_matrices=False)
-            return self.of_entries(np.outer(U[:, 0] @ ports.D, ports.Dyw @ Vh[0]) * self.scale)
-        shifted = 1j * at * np.eye(len(A)) - A
-        reached = np.linalg.solve(shifted, Bw)
-        U, _, Vh = np.linalg.svd(C @ reached + Dw, full_matrices=False)
+            U, _, Vh = np.linalg.svd(loop.Dw, full_matrices=False)
+            return self.of_entries(np.outer(U[:, 0] @ loop.D, loop.Dyw @ Vh[0]) * self.scale)
+        shifted = 1j * at * np.eye(len(loop.A)) - loop.A
+        reached = np.linalg.solve(shifted, loop.Bw)
+        U, _, Vh = np.linalg.svd(loop.C @ reached + loop.Dw, full_matrices=False)
         adjoint, v = U[:, 0].conj(), Vh[0].conj()
-        seen = np.linalg.solve(shifted.T, adjoint @ C)
-        measured = (ports.Cy @ reached + ports.Dyw) @ v
-        return self.of_entries(np.real(np.outer(seen @ ports.B + adjoint @ ports.D, measured) * self.scale))
+        seen = np.linalg.solve(shifted.T, adjoint @ loop.C)
+        measured = (loop.Cy @ reached + loop.Dyw) @ v
+        return self.of_entries(np.real(np.outer(seen @ loop.B + adjoint @ loop.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
         """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
@@ -333,9 +304,8 @@ class Landscape:
         The largest value always gives one. Where two values are alike any mixture of their vectors may lead; four are taken.
         """
         if not len(omega):
-            return Cuts(omega, np.zeros((0, len(self.C)), complex), np.zeros((0, self.Bw.shape[1]), complex))
-        (A, C), (Bw, Dw) = self.loop(x), self.disturbed(x)
-        U, S, Vh = np.linalg.svd(transfer_matrix(A, Bw, C, Dw, omega), full_matrices=False)
+            return Cuts(omega, *(np.zeros((0, count), complex) for count in self.plant.Dw.shape))
+        U, S, Vh = np.linalg.svd(self.loop(x).frequency_response(omega), full_matrices=False)
         where, u, v = np.arange(len(omega)), [U[:, :, 0]], [Vh[:, 0].conj()]
         for k in range(1, min(S.shape[1], MOST_ALIKE)):
             alike = np.flatnonzero(S[:, k] >= floor)
@@ -353,16 +323,16 @@ class Landscape:
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
         """Values of cuts at a point, shape (F,), and slopes, shape (F, N)."""
-        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
-        n = len(A)
-        shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
+        loop = self.loop(x)
+        n = len(loop.A)
+        shifted = np.broadcast_to(-loop.A, (len(cuts.omega), n, n)).astype(complex)
         shifted[:, np.arange(n), np.arange(n)] += 1j * cuts.omega[:, None]
         adjoint = cuts.u.conj()
-        driven = np.linalg.solve(shifted, (cuts.v @ Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
-        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
-        values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ Dw.T), axis=1))
-        measured = driven @ ports.Cy.T + cuts.v @ ports.Dyw.T
-        slopes = np.real((seen @ ports.B + adjoint @ ports.D)[:, :, None] * measured[:, None, :])
+        driven = np.linalg.solve(shifted, (cuts.v @ loop.Bw.T)[:, :, None])[:, :, 0]  # (j omega - A)^-1 Bw v
+        seen = np.linalg.solve(shifted.transpose(0, 2, 1), (adjoint @ loop.C)[:, :, None])[:, :, 0]  # u' C (j omega - A)^-1
+        values = np.real(np.sum(adjoint * (driven @ loop.C.T + cuts.v @ loop.Dw.T), axis=1))
+        measured = driven @ loop.Cy.T + cuts.v @ loop.Dyw.T
+        slopes = np.real((seen @ loop.B + adjoint @ loop.D)[:, :, None] * measured[:, None, :])
         return values, self.of_entries(slopes * self.scale)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
@@ -372,14 +342,14 @@ class Landscape:
         of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega. omega follows
         its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
-        (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
-        n, size, (d, r) = len(A), x.size, self.Dw.shape
+        loop = self.loop(x)
+        n, size, (d, r) = len(loop.A), x.size, loop.Dw.shape
         omega, adjoint, v = cuts.omega, cuts.u.conj()[:, None, :], cuts.v[:, :, None]
-        R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A)
-        left, right = C @ R, R @ Bw
-        T, Tu, Tw = left @ Bw + Dw, left @ ports.B + ports.D, ports.Cy @ right + ports.Dyw
-        Ty = ports.Cy @ R @ ports.B + ports.Dyu
-        Tu_rate, Tw_rate = -1j * (left @ R @ ports.B), -1j * (ports.Cy @ R @ right)
+        R = np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - loop.A)
+        left, right = loop.C @ R, R @ loop.Bw
+        T, Tu, Tw = left @ loop.Bw + loop.Dw, left @ loop.B + loop.D, loop.Cy @ right + loop.Dyw
+        Ty = loop.Cy @ R @ loop.B + loop.Dyu
+        Tu_rate, Tw_rate = -1j * (left @ R @ loop.B), -1j * (loop.Cy @ R @ right)
         # First derivatives of T v and T' u over the entries of x, then over omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
         along = self.of_entries(Tu[:, :, :, None] * driven[:, None, None, :] * self.scale)
@@ -411,33 +381,33 @@ class Landscape:
 
     def summits(self, x: Array, level: float) -> Array:
         """Frequencies [rad/s] of the local maxima of the gain that exceed a level, shape (P,), ascending."""
-        loop = self._closed(x)
-        above = loop.at_infinity * (1 + 1e-6)
+        modes = self.modes(x)
+        above = modes.at_infinity * (1 + 1e-6)
         if level <= above and not self.noisy:
             return np.unique(np.append(self.peaks, 0.0))
-        level, beyond = max(level, above), loop.far[: self.noisy]
-        edges = level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, level)
+        level, beyond = max(level, above), modes.far[: self.noisy]
+        edges = level_crossings(modes.loop, level)
         inside = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, inside.ravel(), self.peaks]))
-        gains = self._gains(loop, omega)
+        gains = self._gains(modes, omega)
         around = np.concatenate([[gains[min(1, len(gains) - 1)]], gains, [0.0]])  # even about zero
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
-        return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, loop), left, middle, right, gains[top])), beyond]))
+        return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, modes), left, middle, right, gains[top])), beyond]))
 
     def moving(self, omega: Array) -> Array:
         """Returns True for frequencies at which a peak moves with the gain: at zero it stays, as the gain is even."""
         return omega > 0
 
-    def _gains(self, loop: Loop, omega: Array) -> Array:
+    def _gains(self, modes: Modes, omega: Array) -> Array:
         """Largest singular values at frequencies, shape (F,)."""
-        return largest_singular_values(self._responses(loop, omega))
+        return largest_singular_values(self._responses(modes, omega))
 
-    def _responses(self, loop: Loop, omega: Array) -> Array:
+    def _responses(self, modes: Modes, omega: Array) -> Array:
         """T at frequencies, shape (F, d, r)."""
-        if loop.residues is None:
-            return transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, omega)
-        T = (1 / (1j * omega[:, None] - loop.poles)) @ loop.residues
-        return T.reshape(len(omega), *loop.Dw.shape) + loop.Dw
+        if modes.residues is None:
+            return modes.loop.frequency_response(omega)
+        T = (1 / (1j * omega[:, None] - modes.poles)) @ modes.residues
+        return T.reshape(len(omega), *modes.loop.Dw.shape) + modes.loop.Dw

@@ -16,7 +16,7 @@ from models.common.printed import brief, digits, percent
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
-from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, real_matrix
+from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
 WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
@@ -58,12 +58,12 @@ class Refinement:
 
 
 @numerics()
-def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> Refinement:
+def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -> Refinement:
     """Lowers the norm from a stabilising gain.
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n).
+        Cy: shape (q, n); None for the plant's own measurements.
         K: shape (m, q).
         Dyw: shape (q, r); zero if it is not given.
 
@@ -81,16 +81,16 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
         '0.4808 to 0.2500'
     """
     check_inputs(plant)
-    Cy, Dyw = measured_with(plant, Cy, Dyw)
-    shape = (plant.B.shape[1], len(Cy))
+    plant = plant.measured(Cy, Dyw)
+    shape = (plant.B.shape[1], len(plant.Cy))
     K = real_matrix(K, "K", str(shape))
     if K.shape != shape:
         raise InputError(f"K has shape {K.shape}; expected {shape}: one row for each force, one column for each measured signal")
-    return lowered(Landscape(plant, Cy, Dyw), plant, Cy, K, Dyw)
+    return lowered(Landscape(plant), plant, K)
 
 
-def lowered(landscape: Landscape, plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> Refinement:
-    """Returns the result of `refine` on the landscape of these matrices; no stage begins once its work is over."""
+def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
+    """Returns the result of `refine` on the landscape of a plant; no stage begins once its work is over."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
@@ -115,31 +115,29 @@ def lowered(landscape: Landscape, plant: GeneralizedPlant, Cy: Array, K: Array, 
             break
     # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)
-    own_before, own_after = _own(plant, Cy, K, Dyw), _own(plant, Cy, gain, Dyw)
+    own_before, own_after = _own(plant, K), _own(plant, gain)
     first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
     if np.array_equal(x, start) or own_after > own_before:
         return Refinement(K, first_norm, first_norm, 1.0, refused)
     return Refinement(gain, first_norm, last_norm, size / first if first else 1.0, refused)
 
 
-def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> float:
+def _own(plant: Plant, K: Array) -> float:
     """The norm of a gain's own loop, by both routes."""
-    loop = plant.closed_loop(K @ Cy)
-    if Dyw is not None:
-        loop = replace(loop, Bw=plant.Bw + plant.B @ K @ Dyw, Dw=plant.Dw + plant.D @ K @ Dyw)
+    loop = plant.closed_loop(K @ plant.Cy)
+    if np.any(plant.Dyw):
+        loop = replace(loop, Bw=plant.Bw + plant.B @ K @ plant.Dyw, Dw=plant.Dw + plant.D @ K @ plant.Dyw)
     return hinf_norm(loop).value
 
 
 @numerics()
-def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> float:
+def worth_refining(plant: Plant, K: Array) -> float:
     """Returns the relative decrease of the norm that `refine` reaches at least, from its first rounds, which are quick.
 
     Args:
-        Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
-        Dyw: shape (q, r); zero if it is not given.
     """
-    landscape = Landscape(plant, Cy, Dyw)
+    landscape = Landscape(plant)
     x = landscape.point(K)
     before, _ = landscape.norm(x)
     if not 0 < before < np.inf:
@@ -149,7 +147,7 @@ def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | No
     if reached < before * (1 - SEEN):
         return 1 - reached / before
     # Nothing without growth: then what the first twofold growth buys, where it is worth it.
-    landscape = Landscape(plant, Cy, Dyw)
+    landscape = Landscape(plant)
     x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
     _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
     return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before

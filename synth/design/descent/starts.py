@@ -24,7 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, quasi_newton
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 SMALLEST = -2  # decade of the first sample, in the landscape's units
@@ -66,7 +66,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
     """Returns the point with the smallest norm among the first stable ones of `points`, shape (count, N), or None."""
     stable = points[:0]
     for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
-        loops = landscape.A + landscape.B @ landscape.acting(some) @ landscape.Cy
+        loops = landscape.plant.A + landscape.plant.B @ landscape.acting(some) @ landscape.plant.Cy
         stable = np.concatenate([stable, some[np.real(np.linalg.eigvals(loops)).max(axis=1) < 0]])
         if len(stable) >= CLOSER:
             break
@@ -80,7 +80,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 def _count(landscape: Landscape) -> int:
     """Returns the number of samples of a kind."""
-    return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.A)) ** 3)))
+    return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.plant.A)) ** 3)))
 
 
 def _directions(generator: np.random.Generator, count: int, shape: tuple[int, int]) -> Array:
@@ -100,11 +100,11 @@ EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w doe
 
 def projected_starts(landscape: Landscape) -> list[Array]:
     """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; none if rounding prevents it."""
-    A, Cy, C, D = landscape.A, landscape.Cy, landscape.C, landscape.D
-    n, m = landscape.B.shape
-    unit = size(A) / size(landscape.B)  # of the forces, with which they move the states as fast as these move
-    B, D = landscape.B * unit, D * unit
-    noise = landscape.Bw @ landscape.Bw.T
+    plant = landscape.plant
+    A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
+    unit = size(A) / size(plant.B)  # of the forces, with which they move the states as fast as these move
+    B, D = plant.B * unit, plant.D * unit
+    noise = plant.Bw @ plant.Bw.T
     noise += EVERYWHERE * size(noise) * np.eye(n)
     weight = size(np.hstack([C, D])) ** 2
     starts = []
@@ -158,7 +158,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
         limit: largest entries, shape (N,).
         patient: True for the second descent alone; otherwise the second begins where the first ends.
     """
-    rate = float(np.abs(np.linalg.eigvals(landscape.A)).max()) or 1.0
+    rate = float(np.abs(np.linalg.eigvals(landscape.plant.A)).max()) or 1.0
 
     def abscissa(x: Array, _: float = np.inf) -> tuple[float, Array]:
         value, slope = landscape.abscissa(x)
@@ -180,10 +180,9 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
 
 def shifted(landscape: Landscape, shift: float) -> Landscape:
     """The landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
-    n, m = landscape.B.shape
+    own, (n, m) = landscape.plant, landscape.plant.B.shape
     eye, nothing = np.eye(n), np.zeros((n, n))
-    plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
-    moved = Landscape(plant, landscape.Cy)
-    moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
+    moved = Landscape(Plant(own.A - shift * eye, own.B, eye, eye, np.zeros((n, m)), nothing, Cy=own.Cy, Dyu=own.Dyu))
+    moved.scale, moved.before = landscape.scale, landscape.before
     moved.free, moved.work, moved.price = landscape.free, landscape.work, OF_ALL * landscape.price
     return moved

@@ -15,7 +15,7 @@ from scipy import linalg, optimize
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.lmi.unobservable import output_nulling_subspace
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.units import size
 
 RANK = 1e-10  # relative; a singular value this small counts as none
@@ -30,11 +30,9 @@ class Symmetry:
 
     def __init__(self, landscape: Landscape) -> None:
         self.landscape = landscape
-        A, B, Cy, C, Bw = (
-            matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)
-        )
+        plant = landscape.plant
+        A, B, Cy, C, Bw, Dyw = (each / size(each) for each in (plant.A, plant.B, plant.Cy, plant.C, plant.Bw, plant.Dyw))
         n, m = B.shape
-        Dyw = landscape.Dyw / size(landscape.Dyw)
         into, out = (np.eye(n), np.eye(n)) if n <= SMALL else (_silent(A, C), _silent(A.T, Bw.T))
         # T = into M out', and S follows from T.
         shape, blind = (into.shape[1], out.shape[1]), linalg.null_space(Cy)
@@ -79,6 +77,4 @@ def _silent(A: Array, C: Array) -> Array:
     """An orthonormal basis of the states that C never shows while A moves them, shape (n, k)."""
     n = len(A)
     nothing = np.zeros((n, 1))
-    return output_nulling_subspace(
-        GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T
-    )[1]
+    return output_nulling_subspace(Plant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T)[1]

@@ -23,7 +23,7 @@ from models.common.errors import InputError
 from models.laws.goals import PID
 from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, LawStructure, pid_tables
 from models.laws.linear import FEWER, LinearLaw
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures
@@ -34,12 +34,11 @@ from synth.design.full_order.full_order import DEADBEAT, as_designed, discrete_l
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
-from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.static import MOST, Candidate, GainSearch, bounded_work
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.plant.augmented import on_larger_plant
-from synth.plant.discrete import Mapped, mapped
-from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices
+from synth.plant.discrete import mapped
+from synth.plant.generalized import Plant, check_inputs, check_posed
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
 
@@ -65,7 +64,7 @@ class FixedOrderDesign:
     """A law of a given order or structure.
 
     Attributes:
-        law: law on y = C_y x + Dyw w + `through` u.
+        law: law on the measurements.
         certificate: certificate of its loop.
         origin: the start that led to it, in words.
         remark: list of PI or PID gains, or the reason for fewer states than allowed; empty without either.
@@ -84,13 +83,10 @@ class FixedOrderDesign:
 
 @numerics()
 def fixed_order_design(
-    plant: GeneralizedPlant,
-    Cy: Array,
-    Dyw: Array | None = None,
+    plant: Plant,
     structure: LawStructure = ONE_STATE,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    through: Array | None = None,
     stable: bool = False,
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     known: Sequence[LinearLaw] = (),
@@ -100,13 +96,10 @@ def fixed_order_design(
     """Returns the law of the least norm that descents find, of a given order or structure, with its certificate.
 
     Args:
-        plant: n states, m inputs, continuous or discrete.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
+        plant: n states, m inputs and q measurements, continuous or discrete; with Dyu only if it is continuous.
         structure: structure of the law.
         lower_bound: lower bound for any controller from these measurements, if known.
         states: names of the states, for messages.
-        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
         known: laws of this structure, also of fewer states, as the only starts.
@@ -125,19 +118,18 @@ def fixed_order_design(
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
-        >>> found = fixed_order_design(oscillator, [[1, 0]], structure=LawStructure(1))
+        >>> found = fixed_order_design(oscillator.measured([[1, 0]]), LawStructure(1))
         >>> found.law.states, f"{found.certificate.norm.value:.3f}"
         (1, '0.105')
     """
     check_inputs(plant)
-    Cy, noise = measurement_matrices(plant, Cy, Dyw, through)
+    plant = plant.measured()
     check_posed(plant)
     n, m = plant.B.shape
     if structure.order > n:
         raise InputError(f'order = {structure.order} exceeds the {n} states of the plant; give at most {n}, or order = "full"')
-    felt = None if through is None or not np.any(through) else through
     counted = bounded_work(plant) if work is None else work
-    search = _Search(plant, Cy, noise if np.any(noise) else None, felt, lower_bound, stable, as_run, counted)
+    search = _Search(plant, lower_bound, stable, as_run, counted)
     search.check_stabilisable(structure, states)
     best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
     stopped = counted.text if counted.over else ""
@@ -168,17 +160,14 @@ class _Search:
 
     def __init__(
         self,
-        plant: GeneralizedPlant,
-        Cy: Array,
-        Dyw: Array | None,
-        through: Array | None,
+        plant: Plant,
         lower_bound: LowerBound | None,
         stable: bool,
         as_run: Callable[[LinearLaw], LinearLaw],
         work: Work | None = None,
     ) -> None:
-        self.plant, self.Cy, self.Dyw, self.through = plant, Cy, Dyw, through
-        self.below = lower_bound if lower_bound is not None else find_lower_bound(plant, Cy, Dyw=Dyw)
+        self.plant = plant
+        self.below = lower_bound if lower_bound is not None else find_lower_bound(plant)
         self.stable, self.as_run = stable, as_run
         self.fastest, _ = speed(plant)
         self.capped, self.work = False, work or Work()
@@ -186,11 +175,11 @@ class _Search:
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
         """Raises an InfeasibleError if a single mode keeps every law from stabilising, that of an integrator too."""
-        if reasons := "; ".join(stabilisability_failures(self.plant, self.Cy, states)):
+        if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:
-            posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
-            if stabilisability_failures(posed.plant, posed.Cy):
+            posed = structured_gain(structure, self.plant)
+            if stabilisability_failures(posed.plant):
                 raise InfeasibleError(
                     f'structure = "{structure.kind}" integrates a signal that no constant force changes, so the pole at 0 stays '
                     "in the loop and no norm is finite; measure a signal that a constant force "
@@ -199,8 +188,7 @@ class _Search:
 
     def certified(self, law: LinearLaw) -> Certificate:
         """Returns the certificate of a law."""
-        acting = law if self.through is None else law.fed_back(self.through)
-        return certify_tightly(*on_larger_plant(self.plant, self.Cy, acting, self.Dyw), self.below, by_itself=self.plant)
+        return certify_law(self.plant, law, self.below)
 
     def designed(self, structure: LawStructure, states: Sequence[str], on_found: Callable[[LinearLaw], None]) -> Start:
         """Returns the law at the lowest end, and the start that led there; see `fixed_order_design` for `on_found`."""
@@ -250,10 +238,10 @@ class _Search:
         Raises:
             DesignError: no gain makes the loop stable.
         """
-        posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
+        posed = structured_gain(structure, self.plant)
         shape = posed.free.shape
         problem = MultiObjectiveProblem(
-            members=(FamilyMember((MeasuredPlant(posed.plant, posed.Cy, posed.Dyw, posed.through),)),),
+            members=(FamilyMember((posed.plant,)),),
             minimise=NormSpecification(),
             tolerance=GainErrors(np.zeros(shape[1]), np.zeros(shape[0])),
             structure=posed.free,
@@ -271,30 +259,30 @@ class _Search:
         Args:
             best: True for the design of full order itself, too.
         """
-        if self.through is not None:
+        if np.any(self.plant.Dyu):
             return []
-        laws, where, gamma = list[LinearLaw](), mapped(self.plant, self.Cy, self.Dyw), LARGEST
+        laws, image, gamma = list[LinearLaw](), mapped(self.plant), LARGEST
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            riccati = RiccatiSearch(where.plant, where.Cy, where.Dyw, self.below.gamma)
+            riccati = RiccatiSearch(image[0], self.below.gamma)
             for share in SHARES:
                 gamma = riccati.smallest(share, gamma)
                 if gamma < LARGEST:
                     some = [riccati.traded(share, gamma * (1 + margin)) for margin in MARGINS]
-                    laws += [self.own(each.law, where) for each in some if each is not None]
+                    laws += [self.own(each.law, image) for each in some if each is not None]
         if best:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
-                given = self.plant, self.Cy, self.Dyw, self.below, states
                 most = self.most if self.plant.dt is None else np.inf
-                laws.append(full_order_design(*given, most, self.stable, self.as_run).law)
+                given = self.plant, None, None, self.below, states, most, self.stable, self.as_run
+                laws.append(full_order_design(*given).law)
         return laws
 
-    def own(self, law: LinearLaw, where: Mapped) -> LinearLaw:
-        """Returns the law of the plant whose image on a mapped plant is given."""
-        return law if self.plant.dt is None else discrete_law(law, where, self.plant.dt)
+    def own(self, law: LinearLaw, image: tuple[Plant, Array]) -> LinearLaw:
+        """Returns the law of the plant whose image on the result of `mapped` is given."""
+        return law if self.plant.dt is None else discrete_law(law, *image, self.plant.dt)
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
         """Returns laws of a structure by reduction of a full-order law, separately for each force with a law of its own."""
-        reduce = partial(reductions, self.plant, self.Cy, self.Dyw)
+        reduce = partial(reductions, self.plant)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
         m, rows = len(full.D), np.array(structure.rows, dtype=float)
@@ -319,7 +307,8 @@ class _Search:
         (m, q), rows = law.D.shape, structure.rows
         count = m if rows is not None else 1
         generator, dt = np.random.default_rng(SEED), self.plant.dt
-        read = READS * self.fastest * generator.standard_normal((count, q)) / np.maximum(np.linalg.norm(self.Cy, axis=1), 1e-300)
+        sizes = np.maximum(np.linalg.norm(self.plant.Cy, axis=1), 1e-300)
+        read = READS * self.fastest * generator.standard_normal((count, q)) / sizes
         read = read * (np.array(rows, dtype=float) if rows is not None else 1.0)
         laws = []
         for part in POLES:
@@ -342,7 +331,7 @@ class _Search:
 
     def reaches(self, law: LinearLaw) -> bool:
         """Returns True if a law is next to what no controller beats, by the search's own measure."""
-        posed = structured_gain(LawStructure(law.states), self.plant, self.Cy, self.Dyw, self.through)
+        posed = structured_gain(LawStructure(law.states), self.plant)
         search = self.of(posed, law.states, LIMITS[0])
         x = search.landscape.point(posed.gain(law))
         return search.reached(Candidate(x, search.landscape.norm(x)[0], ""))
@@ -351,11 +340,8 @@ class _Search:
         """The search for a static gain that is a law of so many states."""
         search = GainSearch(
             posed.plant,
-            posed.Cy,
             1.0,
             self.below.gamma,
-            posed.Dyw,
-            posed.through,
             posed.free,
             partial(LawUnits, states=states),
             WITHIN,
@@ -378,7 +364,7 @@ class _Search:
         Raises:
             DesignError: no start is stable.
         """
-        posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
+        posed = structured_gain(structure, self.plant)
         states = len(posed.plant.A) - len(self.plant.A) if posed.filters is None else 0
         starts = [(each, name) for law, name in starts for each in self.filled(structure, law)]
         slowest: tuple[float, Start] | None = None
@@ -447,8 +433,7 @@ class _Search:
             ends.append((self.certified(law).norm.value, law))
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 light = LIGHTLY * ends[-1][0] * self.fastest
-                given = posed.plant, posed.Cy, posed.Dyw, posed.gain(law), law.states, light, posed.free, posed.through
-                lower = posed.law(descend_stable(*given))
+                lower = posed.law(descend_stable(posed.plant, posed.gain(law), law.states, light, posed.free))
                 if not self.as_run(lower).growth:
                     ends.append((self.certified(lower).norm.value, lower))
         return min(ends, key=lambda each: each[0])[1] if ends else None

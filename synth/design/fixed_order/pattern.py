@@ -14,8 +14,7 @@ from models.common.arrays import Array
 from models.laws.law_structure import LawStructure, pid_filter, side_by_side
 from models.laws.linear import LinearLaw
 from synth.design.descent.landscape import Landscape
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant, gain_law, law_gain
 
 SWEEPS = 10  # of balancing
 
@@ -25,17 +24,13 @@ class StructuredGain:
     """A plant on which a law of some structure is a static gain.
 
     Attributes:
-        plant: n + k states.
-        Cy, Dyw, through: matrices of the measurements, y = C_y x + Dyw w + `through` u.
+        plant: n + k states, with the measurements of the gain.
         free: True for entries of the gain that may be other than zero, shape (m + k, q + k), or (m, q') of filters.
         filters: filters of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
         shape: shape of the law's D, (m, q).
     """
 
-    plant: GeneralizedPlant
-    Cy: Array
-    Dyw: Array | None
-    through: Array | None
+    plant: Plant
     free: Array
     filters: LinearLaw | None
     shape: tuple[int, int]
@@ -47,68 +42,57 @@ class StructuredGain:
             return LinearLaw(one.A, one.B, gain @ one.C, gain @ one.D, one.sample_period)
         m, q = self.shape
         dt = self.plant.dt if len(gain) > m else None
-        return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
+        return gain_law(gain, m, q, dt)
 
     def gain(self, law: LinearLaw) -> Array:
         """Returns the gain of a law, without what the structure does not have."""
         if self.filters is not None:
             return np.where(self.free, _on(self.filters, law), 0.0)
-        return np.where(self.free, np.block([[law.D, law.C], [law.B, law.A]]), 0.0)
+        return np.where(self.free, law_gain(law), 0.0)
 
 
-def structured_gain(
-    structure: LawStructure, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, through: Array | None
-) -> StructuredGain:
+def structured_gain(structure: LawStructure, plant: Plant) -> StructuredGain:
     """Returns the plant on which laws of a structure are static gains.
 
     Args:
         structure: structure of the law; an order of 0 is a static gain.
-        plant: n states, m inputs, continuous or discrete.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); None for zero.
-        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); None for zero.
+        plant: n states, m inputs and q measurements, continuous or discrete.
     """
-    q, m = len(Cy), plant.B.shape[1]
+    q, m = plant.Dyu.shape
     rows = np.ones((1, q), dtype=bool) if structure.rows is None else np.array(structure.rows, dtype=bool)
     if structure.kind:
-        return _on_filters(structure, rows, plant, Cy, Dyw, through)
+        return _on_filters(structure, rows, plant)
     each, count = structure.order, len(rows)
     k = each * count
-    larger, G = on_larger_plant(plant, Cy, LinearLaw(np.zeros((k, k)), np.zeros((k, q)), np.zeros((m, k)), np.zeros((m, q))))
     owner = np.repeat(np.arange(count), each)  # of each state
     own = np.equal.outer(owner, owner)
     if structure.rows is None:
         free = np.ones((m + k, q + k), dtype=bool)
     else:
         free = np.block([[rows, np.equal.outer(np.arange(m), owner)], [rows[owner], own]])
-    noise = None if Dyw is None else np.vstack([Dyw, np.zeros((k, Dyw.shape[1]))])
-    felt = None if through is None else np.block([[through, np.zeros((q, k))], [np.zeros((k, m + k))]])
-    return StructuredGain(larger, G.Cy, noise, felt, free, None, (m, q))
+    return StructuredGain(plant.with_states(k), free, None, (m, q))
 
 
-def _on_filters(
-    structure: LawStructure, rows: Array, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, through: Array | None
-) -> StructuredGain:
+def _on_filters(structure: LawStructure, rows: Array, plant: Plant) -> StructuredGain:
     """The plant with the filters of PI or PID behind its measurements; a discrete plant has them as a computer runs them."""
-    m, (q, n) = len(rows), Cy.shape
+    m, (q, n) = len(rows), plant.Cy.shape
     filters = _filters(structure, rows, plant.dt)
     parts = len(filters.D) // m
-    k, (d, r) = filters.states, plant.Dw.shape
-    noise = np.zeros((q, r)) if Dyw is None else Dyw
-    felt = np.zeros((q, m)) if through is None else through
-    larger = GeneralizedPlant(
-        A=np.block([[plant.A, np.zeros((n, k))], [filters.B @ Cy, filters.A]]),
-        B=np.vstack([plant.B, filters.B @ felt]),
-        Bw=np.vstack([plant.Bw, filters.B @ noise]),
-        C=np.hstack([plant.C, np.zeros((d, k))]),
+    k = filters.states
+    larger = Plant(
+        A=np.block([[plant.A, np.zeros((n, k))], [filters.B @ plant.Cy, filters.A]]),
+        B=np.vstack([plant.B, filters.B @ plant.Dyu]),
+        Bw=np.vstack([plant.Bw, filters.B @ plant.Dyw]),
+        C=np.hstack([plant.C, np.zeros((len(plant.C), k))]),
         D=plant.D,
         Dw=plant.Dw,
         dt=plant.dt,
+        Cy=np.hstack([filters.D @ plant.Cy, filters.C]),
+        Dyu=filters.D @ plant.Dyu,
+        Dyw=filters.D @ plant.Dyw,
     )
     free = np.kron(np.eye(m), np.ones((1, parts))).astype(bool)
-    measured = np.hstack([filters.D @ Cy, filters.C])
-    heard = None if Dyw is None else filters.D @ noise
-    return StructuredGain(larger, measured, heard, None if through is None else filters.D @ felt, free, filters, (m, q))
+    return StructuredGain(larger, free, filters, (m, q))
 
 
 def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:

@@ -19,18 +19,16 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.design.full_order.riccati import parted
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 
-def reductions(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
-    """Yields laws of k states, on y = C_y x + Dyw w, from a law of at least as many; itself if it has no more."""
+def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
+    """Yields laws of k states, on the measurements of a plant, from a law of at least as many; itself if it has no more."""
     if law.states <= k:
         yield law
         return
     with contextlib.suppress(InputError, np.linalg.LinAlgError, ValueError):
-        larger, G = on_larger_plant(plant, Cy, law, Dyw)
-        loop, own = larger.closed_loop(G), slice(len(plant.A), None)
+        loop, own = plant.closed(law), slice(len(plant.A), None)
         reached = _gramian(loop.A, loop.Bw, loop.dt)[own, own]
         seen = _gramian(loop.A.T, loop.C.T, loop.dt)[own, own]
         yield from _cut(law, reached, seen, k)

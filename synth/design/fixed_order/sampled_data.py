@@ -16,8 +16,9 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.fixed_order import fixed_order_design
-from synth.design.full_order.sampled_data import SampledFullOrderDesign, law_gain
+from synth.design.full_order.sampled_data import SampledFullOrderDesign
 from synth.design.static import bounded_work
+from synth.plant.generalized import law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 NEAR = 1.1  # times the lower bound: the first level, where the plant of a level has a norm above one that says where to go
@@ -58,8 +59,7 @@ def sampled_fixed_order(
             continue
         try:
             known: list[LinearLaw] = [] if law is None or structure.kind else [law]
-            given = plant, problem.rows, problem.Dyw(level), structure, None, names
-            found = fixed_order_design(*given, stable=stable, known=known, work=work)
+            found = fixed_order_design(plant, structure, None, names, stable, known=known, work=work)
             reached = sampled_norm(problem.loop(law_gain(found.law)), level).value
         except InfeasibleError:
             raise

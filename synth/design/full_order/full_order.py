@@ -19,7 +19,7 @@ from models.common.checks import Positive
 from models.common.errors import InputError
 from models.common.printed import about, brief, digits, percent, rough
 from models.laws.linear import LinearLaw, static_law
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
@@ -29,9 +29,8 @@ from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, Trade
 from synth.design.full_order.stable import stable_laws
 from synth.design.static import LARGEST_GAIN, REACHED, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.plant.augmented import on_larger_plant
-from synth.plant.discrete import Mapped, mapped
-from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices
+from synth.plant.discrete import mapped
+from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 SINGULAR = 1e-12  # relative; what is this small is zero
@@ -42,7 +41,7 @@ def as_designed(law: LinearLaw) -> LinearLaw:
     return law
 
 
-def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
+def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
     """Returns the law on the measurements of a discrete plant with the loop of a law on y = C_y x + Dyw w of its image.
 
     What is measured of the mapped plant contains Dyu u, which the law takes out; then Tustin's map takes it back, and the gain
@@ -50,6 +49,7 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
 
     Args:
         law: law in continuous time.
+        image, K0: result of `mapped`.
         dt: seconds between samples.
 
     Raises:
@@ -57,18 +57,18 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
         LinAlgError: the law has a pole at 2 / dt.
     """
     A, B, C, D = law.A, law.B, law.C, law.D
-    at_once = np.eye(len(D)) + D @ where.Dyu
-    if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ where.Dyu, 2)):
+    at_once = np.eye(len(D)) + D @ image.Dyu
+    if np.linalg.svd(at_once, compute_uv=False)[-1] <= SINGULAR * (1 + np.linalg.norm(D @ image.Dyu, 2)):
         raise DesignError(
             "the full-order law would be infinite at z = -1, where the plant has a pole; remove this pole from the model, or "
             "design a static gain"
         )
     after = np.linalg.inv(at_once)
-    taken = B @ where.Dyu @ after
+    taken = B @ image.Dyu @ after
     A, B, C, D = A - taken @ C, B - taken @ D, after @ C, after @ D
     turned = np.linalg.inv(np.eye(len(A)) - dt / 2 * A)
     out, into = C @ turned, turned @ B
-    return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + where.before, dt)
+    return LinearLaw(turned @ (np.eye(len(A)) + dt / 2 * A), dt * into, out, D + dt / 2 * C @ into + K0, dt)
 
 
 BEYOND = 10.0  # times the gain that makes poles as fast as they may be
@@ -81,7 +81,7 @@ MOST = 100  # numbers of a law with which a descent takes seconds
 def numbers(search: RiccatiSearch) -> int:
     """Returns how many numbers a law of full order has."""
     n, m = search.own.plant.B.shape
-    return (n + m) * (n + len(search.own.Cy))
+    return (n + m) * (n + len(search.own.plant.Cy))
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
@@ -94,15 +94,14 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     """
     if not start.own.states:
         return []
-    own, m, q = search.own, search.own.plant.B.shape[1], len(search.own.Cy)
+    own, (q, m) = search.own.plant, search.own.plant.Dyu.shape
     limit = max(fastest, start.speed_up)
 
     def point(gain: Array) -> TradeOffPoint | None:
-        return search.judged(0.0, LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q]))
+        return search.judged(0.0, gain_law(gain, m, q))
 
-    larger, G = on_larger_plant(own.plant, own.Cy, start.own)
-    landscape = Landscape(larger, G.Cy, np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))]))
-    x, enough = landscape.point(G.K), search.bound * (1 + REACHED)
+    landscape = Landscape(own.with_states(start.own.states))
+    x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + REACHED)
     norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
     for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
         most = float(np.abs(x).max()) * (2 if stage else 1)
@@ -127,12 +126,12 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
         rival: norm of a law, in the given units; the search for a gain far above it stops early.
     """
     own, points = search.own, list[TradeOffPoint | None]()
-    if static_feedback_obstructions(own.plant, own.Cy):
+    if static_feedback_obstructions(own.plant):
         return []
     # In own units a gain of one makes poles of size one, of a plant without feedthrough; so do gains that a fast loop needs.
     largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw, rival * own.norm).gain
+        gain = static_output_feedback(own.plant, None, largest, LowerBound(search.bound), rival=rival * own.norm).gain
         points.append(search.judged(0.0, static_law(gain)))
         # Where that is too fast the best that is not lies before it, on the way from no control.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
@@ -149,7 +148,7 @@ class FullOrderDesign:
 
     Attributes:
         law: law on y = C_y x + Dyw w with as many states as the plant, without negligible ones.
-        certificate: certificate of its loop, with matrices of the plant with the law's states (`on_larger_plant`).
+        certificate: certificate of its loop, with matrices of the plant with the law's states (`Plant.with_law`).
         trade: the Pareto front of norm and speed, the slowest first; empty if the controller is within the requested distance of
             the bound and not fast. For a discrete plant they belong to its continuous image.
         remark: distance from the bound and its reason, and a fast pole and its price, in words; empty if it is within the
@@ -166,8 +165,8 @@ class FullOrderDesign:
 
 @numerics()
 def full_order_design(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
+    Cy: Array | None = None,
     Dyw: Array | None = None,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
@@ -182,7 +181,7 @@ def full_order_design(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n).
+        Cy: shape (q, n); the plant's own measurements if it is not given.
         Dyw: shape (q, r); zero where it is not given.
         lower_bound: lower bound on the norm of any controller from these measurements, if known.
         states: names of the states, for messages.
@@ -206,25 +205,25 @@ def full_order_design(
         (2, '0.250', True)
     """
     check_inputs(plant)
-    Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
+    plant = plant.measured(Cy, Dyw)
     check_posed(plant)
-    if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
+    if reasons := "; ".join(stabilisability_failures(plant, states)):
         raise InfeasibleError(reasons)
     if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
         raise InputError(
             "the sample period of a discrete plant already limits the speed of its loop; omit fastest_pole and fastest"
         )
-    below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
-    where = mapped(plant, Cy, Dyw)
-    search = RiccatiSearch(where.plant, where.Cy, where.Dyw, below.gamma, DEADBEAT / plant.dt if plant.dt is not None else 0.0)
+    below = find_lower_bound(plant) if lower_bound is None else lower_bound
+    image = mapped(plant)
+    search = RiccatiSearch(image[0], below.gamma, DEADBEAT / plant.dt if plant.dt is not None else 0.0)
     if fastest_pole is not None:
         fastest = min(fastest, fastest_pole / search.fastest)
     much = min(fastest, search.much)
 
     def proved(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> FullOrderDesign:
         reduced = search.reduced(best)
-        law = reduced.law if plant.dt is None else discrete_law(reduced.law, where, plant.dt)
-        certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), below, by_itself=plant)
+        law = reduced.law if plant.dt is None else discrete_law(reduced.law, *image, plant.dt)
+        certificate = certify_law(plant, law, below)
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
         said = [_remark(reduced, trade, below.gamma), _speed(reduced, trade) if plant.dt is None else ""]
@@ -282,7 +281,7 @@ def full_order_design(
     if numbers(search) <= MOST:
         found += static_gains(search, much, min((each.norm for each in found), default=np.inf))
     laws = pareto_front([each for each in found if fits(each)])
-    size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
+    size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(plant.Cy))
     undescended = f"; no descent was tried: the law has {size} numbers, and {MOST} is the limit" * (size > MOST)
     while (best := select(laws, fastest)) is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):

@@ -24,7 +24,7 @@ from models.laws.preview import RoadPreview
 from models.laws.python_law import AHEAD
 from synth.analysis.certificate import Certificate
 from synth.design.full_order.quadratic import lqr_design, on_rows, state_rows
-from synth.plant.generalized import GeneralizedPlant, measurement_matrices
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 from synth.plant.units import own_units
 
@@ -49,14 +49,15 @@ class PreviewDesign:
 
 
 @numerics()
-def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> PreviewDesign:
+def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> PreviewDesign:
     """The law of the state and the coming disturbance with the smallest mean square of z. D_w is left out, as by `lqr_design`.
 
     Args:
         plant: n states, m inputs, r disturbances.
         preview: T, how far ahead w is known [s].
         states: names of the states, for messages.
-        Cy: measurements that are the state in other coordinates, shape (q, n); None for the state itself.
+        Cy: measurements that are the state in other coordinates, shape (q, n). Default: those of the plant, or without
+            any the state itself.
 
     Raises:
         InputError: errors of `lqr_design`, or a preview that is not allowed.
@@ -73,12 +74,13 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
         '0.1892 0.1184'
     """
     seconds = AHEAD.number("a preview", preview)
-    Cy, _ = measurement_matrices(plant, np.eye(len(plant.A)) if Cy is None else Cy)
-    rows = state_rows(plant, Cy)
+    state = plant.measured(np.eye(len(plant.A)))
+    plant = state if Cy is None and not len(plant.Cy) else plant.measured(Cy)
+    rows = state_rows(plant)
     lqr = lqr_design(plant, states)
     if lqr.remark:
         raise DesignError("a preview design needs a weight on every control force; give each force a weight in [performance]")
-    units = own_units(plant, np.eye(len(plant.A)))
+    units = own_units(state, measured=True)
     own, K = units.into(plant), lqr.law.D * units.states / units.inputs[:, None]
     closed, cost = own.A + own.B @ K, own.C + own.D @ K
     X = linalg.solve_continuous_lyapunov(closed.T, -cost.T @ cost)
@@ -90,4 +92,4 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
     least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
     ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None
-    return PreviewDesign(on_rows(lqr.law, Cy, rows), ahead, float(least), lqr.h2_norm, lqr.certificate)
+    return PreviewDesign(on_rows(lqr.law, plant.Cy, rows), ahead, float(least), lqr.h2_norm, lqr.certificate)

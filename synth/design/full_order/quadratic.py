@@ -21,11 +21,10 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
-from synth.analysis.bounding import certify_tightly
+from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.stability import balance, is_stable, stabilisability_failures
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices, real_matrix
+from synth.plant.generalized import Plant, check_inputs, check_posed, real_matrix
 from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
@@ -53,7 +52,7 @@ class QuadraticDesign:
     remark: str
 
 
-def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> QuadraticDesign:
+def lqr_design(plant: Plant, states: Sequence[str] = ()) -> QuadraticDesign:
     """The state feedback u = K x with the smallest mean square of z, whatever of the states is disturbed.
 
     Args:
@@ -74,18 +73,17 @@ def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> Quadratic
         >>> design.law.D.round(3)
         array([[-6.77 , -3.581]])
     """
-    everything = np.eye(len(plant.A))
-    return _design(plant, everything, np.zeros((len(everything), plant.Bw.shape[1])), states, True)
+    return _design(plant.measured(np.eye(len(plant.A))), states, True)
 
 
 def lqg_design(
-    plant: GeneralizedPlant, Cy: Array, noise: Sequence[float] | None = None, states: Sequence[str] = ()
+    plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> QuadraticDesign:
     """Returns the controller of y = C_y x + v with the least mean square of z; v is independent white noise.
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n).
+        Cy: shape (q, n); the plant's own if it is not given.
         noise: noise of each measurement, shape (q,) [its unit times root of s]: rms sigma, drawn every T seconds, is sigma
             sqrt(T). (As w has intensity one, B_w and D_w must hold the root of its true one.) Without it a small noise is
             assumed, with a remark.
@@ -105,22 +103,22 @@ def lqg_design(
         >>> design.law.states, f"{design.h2_norm:.4f}"
         (2, '0.1955')
     """
-    Cy, none = measurement_matrices(plant, Cy)
+    plant = plant.measured(plant.Cy if Cy is None else Cy)
     if noise is None:
-        return h2_design(plant, Cy, none, states)
-    q, r = none.shape
+        return h2_design(plant, states=states)
+    q = len(plant.Cy)
     sizes = real_matrix([list(noise)], "noise", f"(1, {q})")[0]
     if sizes.shape != (q,) or np.any(sizes < 0):
         raise InputError(f"noise has shape {sizes.shape}; expected {q} numbers from 0 upwards, one for each measurement")
-    return _design(plant, Cy, none, states, False, np.hstack([np.zeros((q, r)), np.diag(sizes)]))
+    return _design(plant, states, False, np.diag(sizes))
 
 
-def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
+def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
     """The controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
 
     Args:
         plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
+        Cy: shape (q, n); the plant's own measurements if it is not given.
         Dyw: shape (q, r); zero where it is not given.
         states: names of the states, for messages.
 
@@ -136,44 +134,36 @@ def h2_design(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, stat
         >>> f"{design.h2_norm:.4f}"
         '0.1908'
     """
-    return _design(plant, *measurement_matrices(plant, Cy, Dyw), states, False)
+    return _design(plant.measured(Cy, Dyw), states, False)
 
 
-def quadratic_design(
-    name: str,
-    plant: GeneralizedPlant,
-    Cy: Array,
-    states: Sequence[str],
-    noise: Sequence[float] | None,
-    Dyw: Array | None,
-) -> QuadraticDesign:
-    """Designs an LQR, LQG or H2 controller by its name, with a law on y = C_y x.
+def quadratic_design(name: str, plant: Plant, states: Sequence[str], noise: Sequence[float] | None) -> QuadraticDesign:
+    """Designs an LQR, LQG or H2 controller by its name, with a law on C_y x + Dyw w.
 
     Args:
         name: "lqr", "lqg" or "h2".
-        Cy: shape (q, n); for "lqr" as many rows as states.
+        plant: plant with measurements; for "lqr" as many as states, whose Dyw counts for "h2" only.
         noise: noise of each measurement, for "lqg"; None without noise.
-        Dyw: shape (q, r), for "h2"; None for zero.
 
     Raises:
         DesignError: not every state is measured, as LQR requires.
         InputError, InfeasibleError, DesignError: errors of `lqr_design`, `lqg_design` and `h2_design`.
     """
     if name != "lqr":
-        return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
-    Cy, _ = measurement_matrices(plant, Cy)
-    rows = state_rows(plant, Cy)
+        return lqg_design(plant, None, noise, states) if name == "lqg" else h2_design(plant, states=states)
+    plant = plant.measured(plant.Cy)
+    rows = state_rows(plant)
     lqr = lqr_design(plant, states)
-    return replace(lqr, law=on_rows(lqr.law, Cy, rows))
+    return replace(lqr, law=on_rows(lqr.law, plant.Cy, rows))
 
 
-def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
-    """Returns the indices of as many independent measurements y = C_y x as there are states, shape (q, n).
+def state_rows(plant: Plant) -> list[int]:
+    """Returns the indices of as many independent measurements as there are states.
 
     Raises:
         DesignError: not every state is measured.
     """
-    rows, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
+    rows, n = independent(plant.Cy * own_units(plant, measured=True).states), len(plant.A)
     if len(rows) < n:
         raise DesignError(
             f"LQR feeds back all {n} states, but only {len(rows)} are measured (states of filters in [performance] never are); "
@@ -189,7 +179,7 @@ def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
     return static_law(gain)
 
 
-def h2_norm(loop: GeneralizedPlant) -> float:
+def h2_norm(loop: Plant) -> float:
     """Root of the mean square of z under white noise w, through the states of a stable loop alone."""
     A, scale = balance(loop.A)
     Bw, C = loop.Bw / scale[:, None], loop.C * scale
@@ -198,28 +188,24 @@ def h2_norm(loop: GeneralizedPlant) -> float:
 
 
 @numerics()
-def _design(
-    plant: GeneralizedPlant, Cy: Array, Dyw: Array, states: Sequence[str], all_known: bool, noise: Array | None = None
-) -> QuadraticDesign:
+def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> QuadraticDesign:
     """Returns the law with the smallest mean square.
 
     Args:
-        Cy: shape (q, n).
-        Dyw: shape (q, r).
-        noise: feedthrough from w and from additional white noise to y, shape (q, r + k), which affects the mean alone.
+        noise: feedthrough from additional white noise to y, shape (q, k), which affects the mean alone.
     """
     check_inputs(plant)
     check_posed(plant)
-    if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
+    if reasons := "; ".join(stabilisability_failures(plant, states)):
         raise InfeasibleError(reasons)
-    shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
-    own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
-    Dyw_T = np.delete(own.Dyw, list(_known(own)), axis=0).T
+    shaken = plant if noise is None else plant.with_disturbances(noise)
+    own = NormalisedPlant.of(shaken)
+    Dyw_T = np.delete(own.plant.Dyw, list(_known(own.plant)), axis=0).T
     (cost, least_cost), (unheard, least_noise) = _assumed(own.plant.D), _assumed(Dyw_T)
     least = min(least_cost, np.inf if all_known else least_noise)
     try:
         law, assumed = _law(own, all_known, cost, unheard * (not all_known))
-        certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
+        certificate = certify_law(plant, law)
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
     except DesignError as error:
@@ -232,8 +218,7 @@ def _design(
         ) from error
     share = f"{100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
     remark = f"this design needs {' and '.join(assumed)}; {share}" if assumed else ""
-    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
-    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
+    return QuadraticDesign(law, h2_norm(shaken.closed(law)), certificate, remark)
 
 
 def _assumed(D: Array) -> tuple[Array, float]:
@@ -257,40 +242,34 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
     Raises:
         DesignError: a Riccati equation has no solution.
     """
-    A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
+    plant = own.plant
+    A, B, C, D = plant.A, plant.B, plant.C, plant.D
     assumed = ["a cost of every force"] if len(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not contain a mode that neither decays nor grows; weight a signal that contains it")
     if all_known:
-        return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
+        return own.back(static_law(K @ np.linalg.inv(plant.Cy))), assumed
     unreached = "w does not disturb a mode that neither decays nor grows; add a disturbance of this mode"
-    known = _known(own)
-    rest, states = np.delete(np.arange(len(own.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
-    A, B, Cy = A[np.ix_(states, states)], B[states], own.Cy[np.ix_(rest, states)]
-    L = _regulator(A.T, Cy.T, own.plant.Bw[states].T, own.Dyw[rest].T, unheard, unreached).T
+    known = _known(plant)
+    rest, states = np.delete(np.arange(len(plant.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
+    A, B, Cy = A[np.ix_(states, states)], B[states], plant.Cy[np.ix_(rest, states)]
+    L = _regulator(A.T, Cy.T, plant.Bw[states].T, plant.Dyw[rest].T, unheard, unreached).T
     assumed += ["noise on every measurement"] if len(unheard) else []
-    into, direct = np.zeros((len(A), len(own.Cy))), np.zeros((len(K), len(own.Cy)))
+    into, direct = np.zeros((len(A), len(plant.Cy))), np.zeros((len(K), len(plant.Cy)))
     into[:, rest] = -L
     for row, state in known.items():
-        direct[:, row] = K[:, state] / own.Cy[row, state]
+        direct[:, row] = K[:, state] / plant.Cy[row, state]
         into[:, row] = B @ direct[:, row]
     return own.back(LinearLaw(A + B @ K[:, states] + L @ Cy, into, K[:, states], direct)), assumed
 
 
-def _known(own: NormalisedPlant) -> dict[int, int]:
+def _known(plant: Plant) -> dict[int, int]:
     """Returns the states that are read without noise by a row of their own and act on z alone, by that row."""
     known = {}
-    for row, (states, noise) in enumerate(zip(own.Cy, own.Dyw, strict=True)):
+    for row, (states, noise) in enumerate(zip(plant.Cy, plant.Dyw, strict=True)):
         (there,) = np.nonzero(states)
-        if len(there) == 1 and not np.any(noise) and not np.any(own.plant.A[:, there[0]]):
+        if len(there) == 1 and not np.any(noise) and not np.any(plant.A[:, there[0]]):
             known[row] = int(there[0])
     return known
-
-
-def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
-    """The plant with so many disturbances; those that it has not got do nothing to it."""
-    more = r - plant.Bw.shape[1]
-    Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), more))]) for matrix in (plant.Bw, plant.Dw))
-    return replace(plant, Bw=Bw, Dw=Dw)
 
 
 def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:

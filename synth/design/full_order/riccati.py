@@ -43,8 +43,8 @@ from models.laws.linear import LinearLaw
 from synth.analysis.certificate import FASTEST
 from synth.analysis.norm import Gain, level_set_norm
 from synth.analysis.stability import beside_weights, is_stable
-from synth.plant.augmented import closed_by, on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.augmented import closed_by
+from synth.plant.generalized import Plant
 from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
@@ -54,23 +54,21 @@ NEGATIVE = 1e-9  # of the largest eigenvalue: what rounding leaves of one that i
 EDGE = 1e-9  # relative; a spectral radius this close to gamma^2 counts as one that reaches it
 
 
-def central_law(plant: GeneralizedPlant, Cy: Array, Dyw: Array, gamma: float) -> LinearLaw:
+def central_law(plant: Plant, gamma: float) -> LinearLaw:
     """A stabilising law of as many states as the plant whose closed loop has a norm below gamma.
 
     Its states are what it takes the plant's to be, under the worst disturbance.
 
     Args:
         plant: n states, m inputs, r disturbances, d controlled outputs; D of rank m.
-        Cy: shape (q, n).
-        Dyw: shape (q, r), of rank q.
 
     Raises:
         InfeasibleError: no law does, or rounding hides it.
     """
-    A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, Dyw.shape, gamma**2
+    A, n, (d, m), (q, r), square = plant.A, len(plant.A), plant.D.shape, plant.Dyw.shape, gamma**2
     turn_z, from_u = _last(plant.D)  # turn_z' D from_u = [0; I]
-    turn_w, from_y = _last(Dyw.T)  # turn_w' Dyw' from_y = [0; I]
-    B1, B2, C1, C2 = plant.Bw @ turn_w, plant.B @ from_u, turn_z.T @ plant.C, from_y.T @ Cy
+    turn_w, from_y = _last(plant.Dyw.T)  # turn_w' Dyw' from_y = [0; I]
+    B1, B2, C1, C2 = plant.Bw @ turn_w, plant.B @ from_u, turn_z.T @ plant.C, from_y.T @ plant.Cy
     D11, i, j = turn_z.T @ plant.Dw @ turn_w, d - m, r - q
     D1111, D1112, D1121, D1122 = D11[:i, :j], D11[:i, j:], D11[i:, :j], D11[i:, j:]
     if max(_size(D11[:i]), _size(D11[:, :j])) >= gamma:
@@ -260,8 +258,7 @@ class TradeOffPoint:
     def norm(self) -> float:
         """Norm of its loop in the units given, by one route."""
         own = self.search.own
-        larger, G = on_larger_plant(own.plant, own.Cy, self.own, own.Dyw)
-        return level_set_norm(larger.closed_loop(G))[0] / own.norm
+        return level_set_norm(own.plant.closed(self.own))[0] / own.norm
 
     def within(self, most: float) -> bool:
         """Returns True if the norm is at most this."""
@@ -336,11 +333,11 @@ class RiccatiSearch:
         much: times that, from which on a speed is to be worth its price.
     """
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float, quick: float = 0.0) -> None:
+    def __init__(self, plant: Plant, bound: float, quick: float = 0.0) -> None:
         """Args:
         quick: a speed that costs nothing [rad/s].
         """
-        self.given, self.own = plant, NormalisedPlant.of(plant, Cy, Dyw)
+        self.given, self.own = plant, NormalisedPlant.of(plant)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
         self.much = max(FASTEST, quick / self.fastest)
@@ -434,7 +431,7 @@ class RiccatiSearch:
             InputError: an entry is too large for a law in the units given.
         """
         own, back = self.own, self.own.back(law)
-        system = closed_by(own.plant, own.Cy, law, own.Dyw)
+        system = closed_by(own.plant, law)
         loop = Gain(system)
         if not loop.stable:
             return None
@@ -457,20 +454,22 @@ class RiccatiSearch:
         Raises:
             InfeasibleError: the problem has no law for this gamma.
         """
-        plant, Cy, Dyw = self.own.plant, self.own.Cy, self.own.Dyw
+        plant, Cy, Dyw = self.own.plant, self.own.plant.Cy, self.own.plant.Dyw
         n, (d, r) = len(plant.A), plant.Dw.shape
         cost, noise = missing(plant.D, share), missing(Dyw.T, share).T
         states = STATES * share * np.eye(n)
         m, q = len(cost), noise.shape[1]
-        regular = GeneralizedPlant(
+        regular = Plant(
             A=plant.A,
             B=plant.B,
             Bw=np.hstack([plant.Bw, states, np.zeros((n, q))]),
             C=np.vstack([plant.C, states, np.zeros((m, n))]),
             D=np.vstack([plant.D, np.zeros((n, plant.B.shape[1])), cost]),
             Dw=np.block([[plant.Dw, np.zeros((d, n + q))], [np.zeros((n + m, r + n + q))]]),
+            Cy=Cy,
+            Dyw=np.hstack([Dyw, np.zeros((len(Cy), n)), noise]),
         )
-        return central_law(regular, Cy, np.hstack([Dyw, np.zeros((len(Cy), n)), noise]), gamma)
+        return central_law(regular, gamma)
 
 
 def _coarse(gamma: float) -> float:

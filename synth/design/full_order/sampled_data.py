@@ -24,7 +24,8 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.full_order.full_order import discrete_law, full_order_design
 from synth.design.full_order.riccati import RiccatiSearch
-from synth.plant.discrete import Mapped, mapped
+from synth.plant.discrete import mapped
+from synth.plant.generalized import Plant, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
@@ -54,11 +55,6 @@ class SampledFullOrderDesign:
     remark: str
 
 
-def law_gain(law: LinearLaw) -> Array:
-    """Returns [D, C; B, A] of a law, for `SampledDataProblem.loop`."""
-    return np.block([[law.D, law.C], [law.B, law.A]])
-
-
 @numerics()
 def sampled_full_order(
     problem: SampledDataProblem, bound: SampledBound | None, near: float, states: Sequence[str] = (), stable: bool = False
@@ -86,11 +82,10 @@ def sampled_full_order(
         if plant is None:
             level *= 1.1
             continue
-        Dyw = problem.Dyw(level)
-        as_run = partial(_as_run, where=mapped(plant, problem.rows, Dyw), period=problem.period)
+        as_run = partial(_as_run, image=mapped(plant), period=problem.period)
         try:
             aim = LowerBound(least / level)
-            law = full_order_design(plant, problem.rows, Dyw, aim, names, stable=stable, as_run=as_run).law
+            law = full_order_design(plant, None, None, aim, names, stable=stable, as_run=as_run).law
             norm = sampled_norm(problem.loop(law_gain(law)), level).value
         except InfeasibleError:
             raise
@@ -115,9 +110,9 @@ def sampled_full_order(
     return SampledFullOrderDesign(best.law, best.norm, f"{above}: no law that was tried comes closer{stopped}")
 
 
-def _as_run(law: LinearLaw, where: Mapped, period: float) -> LinearLaw:
+def _as_run(law: LinearLaw, image: tuple[Plant, Array], period: float) -> LinearLaw:
     """Returns the discrete law of one for the mapped plant."""
-    return discrete_law(law, where, period) if law.sample_period is None else law
+    return discrete_law(law, *image, period) if law.sample_period is None else law
 
 
 def lowest_level(problem: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
@@ -139,7 +134,6 @@ def _solvable(problem: SampledDataProblem, level: float) -> bool:
     plant = problem.at(level)
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            where = mapped(plant, problem.rows, problem.Dyw(level))
-            search = RiccatiSearch(where.plant, where.Cy, where.Dyw, 0.0)
+            search = RiccatiSearch(mapped(plant)[0], 0.0)
             return any(search.traded(share, search.own.norm) is not None for share in SHARES)
     return False

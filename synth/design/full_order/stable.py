@@ -17,9 +17,8 @@ from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.design.full_order.riccati import SHARES, RiccatiSearch, TradeOffPoint
 from synth.design.multi_objective.design import multi_objective_design
-from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
-from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
+from synth.plant.generalized import Plant, gain_law, law_gain
 
 GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)  # times the bound; a smaller one is a law nearer to it, and faster
 STARTS = 2  # from which a descent goes on
@@ -39,7 +38,7 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
     # From a fast law no way leads down to a slow one.
     laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: (each.excess > 1, each.norm))
     for start in laws[:STARTS]:
-        if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.Cy)) <= most:
+        if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.plant.Cy)) <= most:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 lower = search.judged(0.0, _descended(search, start))
                 laws += [lower] if lower is not None and fits(lower) else []
@@ -52,29 +51,16 @@ def _descended(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
     Raises:
         DesignError: there is no way down.
     """
-    own = search.own
-    larger, G = on_larger_plant(own.plant, own.Cy, start.own)
-    noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))]) if own.Dyw.any() else None
-    gain = descend_stable(larger, G.Cy, noise, G.K, start.own.states, LIGHTLY * start.norm * own.norm)
-    m, q = own.plant.B.shape[1], len(own.Cy)
-    return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
+    own, k = search.own, start.own.states
+    gain = descend_stable(own.plant.with_states(k), law_gain(start.own), k, LIGHTLY * start.norm * own.norm)
+    return gain_law(gain, *own.plant.Dyu.T.shape)
 
 
-def descend_stable(
-    plant: GeneralizedPlant,
-    Cy: Array,
-    Dyw: Array | None,
-    start: Array,
-    states: int,
-    light: float,
-    structure: Array | None = None,
-    through: Array | None = None,
-) -> Array:
+def descend_stable(plant: Plant, start: Array, states: int, light: float, structure: Array | None = None) -> Array:
     """Returns the gain [D, C; B, A] at the end of the descent from that of a stable law; it may be unstable by rounding.
 
     Args:
-        plant: plant with the law's states.
-        Cy, Dyw, through: measurements of the gain, see `MeasuredPlant`.
+        plant: plant with the law's states, and the measurements of the gain.
         start: gain of the start, whose loop is stable, too.
         states: number k of the law's states.
         light: weight of the law's own states.
@@ -85,7 +71,7 @@ def descend_stable(
     """
     k, (rows, columns) = states, start.shape
     m, q = rows - k, columns - k
-    alone = GeneralizedPlant(
+    alone = Plant(
         A=np.zeros((k, k)),
         B=np.hstack([np.zeros((k, m)), np.eye(k)]),
         Bw=np.eye(k) * (plant.dt or 1.0),
@@ -93,10 +79,10 @@ def descend_stable(
         D=np.zeros((k, m + k)),
         Dw=np.zeros((k, k)),
         dt=plant.dt,
+        Cy=np.vstack([np.zeros((q, k)), np.eye(k)]),
     )
-    of_states = np.vstack([np.zeros((q, k)), np.eye(k)])
     problem = MultiObjectiveProblem(
-        members=(FamilyMember((MeasuredPlant(plant, Cy, Dyw, through),)), FamilyMember((MeasuredPlant(alone, of_states),))),
+        members=(FamilyMember((plant,)), FamilyMember((alone,))),
         minimise=NormSpecification(),
         tolerance=GainErrors(np.zeros(columns), np.zeros(rows)),
         structure=np.ones(start.shape, dtype=bool) if structure is None else structure,

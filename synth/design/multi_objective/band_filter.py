@@ -12,8 +12,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
-from synth.design.multi_objective.problem import MeasuredPlant
 from synth.plant.augmented import append, gain, series, transfer_function, with_weights
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
@@ -21,16 +21,12 @@ RIPPLE = 0.02  # dB above one, in the band
 BESIDE = 30.0  # dB below, beside it
 
 
-def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
+def in_band(plant: Plant, band: Band) -> Plant:
     """Returns a plant whose norm is at least the norm in the band [rad/s]; for a band of all frequencies, the plant itself."""
     if band == EVERYWHERE:
-        return posed
-    plant = posed.plant
+        return plant
     before = append(*[band_filter(band)] * plant.Bw.shape[1])
-    wide = with_weights(plant, gain(np.eye(len(plant.C))), before)
-    Dyw = np.zeros((len(posed.Cy), plant.Bw.shape[1])) if posed.Dyw is None else posed.Dyw
-    Cy = np.hstack([posed.Cy, Dyw @ before.C])
-    return MeasuredPlant(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
+    return with_weights(plant, gain(np.eye(len(plant.C))), before)
 
 
 def band_filter(band: Band) -> StateSpace:

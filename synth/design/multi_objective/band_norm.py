@@ -13,7 +13,7 @@ from models.common.arrays import Array
 from synth.analysis.norm import highest, level_crossings
 from synth.design.descent.landscape import NEAR, Landscape, climbed
 from synth.plant.discrete import mapped_frequency
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 EVERYWHERE = (0.0, np.inf)
 Band = tuple[float, float]
@@ -27,24 +27,13 @@ class BandLandscape(Landscape):
         own: number of its states without those of filters.
     """
 
-    def __init__(
-        self,
-        plant: GeneralizedPlant,
-        Cy: Array,
-        Dyw: Array | None,
-        band: Band,
-        like: Landscape | None = None,
-        through: Array | None = None,
-    ) -> None:
+    def __init__(self, plant: Plant, band: Band, like: Landscape | None = None) -> None:
         """Args:
-        plant: n states, m inputs, r disturbances.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
+        plant: n states, m inputs, r disturbances and q measurements.
         band: lower and upper frequency [rad/s].
         like: landscape whose points are the same gains; None for its own scales.
-        through: feedthrough from forces to measurements, shape (q, m); zero where it is not given.
         """
-        super().__init__(plant, Cy, Dyw, through)
+        super().__init__(plant)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
         self.own = len(plant.A) - plant.weights
         if like is not None:
@@ -59,21 +48,21 @@ class BandLandscape(Landscape):
         """Returns the largest gain in the band and its frequency [rad/s]; infinite if the loop is unstable."""
         if not self.narrow:
             return super().norm(x, above)
-        loop, (low, high) = self._closed(x), self.band
-        if not np.all(np.real(loop.poles) < -1e-13 * np.abs(loop.poles).max()):
+        modes, (low, high) = self.modes(x), self.band
+        if not np.all(np.real(modes.poles) < -1e-13 * np.abs(modes.poles).max()):
             return np.inf, np.nan
-        upper = loop.poles[np.imag(loop.poles) >= 0]
+        upper = modes.poles[np.imag(modes.poles) >= 0]
         omega = self._inside(np.concatenate([np.imag(upper), np.abs(upper), self.peaks]))
-        best, at = (loop.at_infinity, np.inf) if np.isinf(high) else (0.0, low)
+        best, at = (modes.at_infinity, np.inf) if np.isinf(high) else (0.0, low)
         for turn in range(30):
-            gain, i = highest(self._responses(loop, omega), best * (1 + NEAR))
+            gain, i = highest(self._responses(modes, omega), best * (1 + NEAR))
             if gain > best * (1 + NEAR):
                 best, at = gain, float(omega[i])
             elif turn:
                 break
             if best > above or best == 0:
                 break
-            omega = self._inside(level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, best * (1 + NEAR)))
+            omega = self._inside(level_crossings(modes.loop, best * (1 + NEAR)))
             omega = np.concatenate([omega, (omega[:-1] + omega[1:]) / 2])
         if np.isfinite(at):
             self.peaks = [*self.peaks[-5:], at]
@@ -86,18 +75,18 @@ class BandLandscape(Landscape):
         """
         if not self.narrow:
             return super().summits(x, level)
-        loop = self._closed(x)
+        modes = self.modes(x)
         if np.isinf(self.band[1]):
-            level = max(level, loop.at_infinity * (1 + 1e-6))
-        edges = self._inside(level_crossings(loop.A, loop.Bw, loop.C, loop.Dw, level))
+            level = max(level, modes.at_infinity * (1 + 1e-6))
+        edges = self._inside(level_crossings(modes.loop, level))
         between = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(5) + 0.5) / 5
         omega = np.unique(np.concatenate([edges, between.ravel(), self._inside(np.array(self.peaks))]))
-        gains = self._gains(loop, omega)
+        gains = self._gains(modes, omega)
         around = np.concatenate([[0.0], gains, [0.0]])
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         ends, top = omega[top[(top == 0) | (top == len(omega) - 1)]], top[(top > 0) & (top < len(omega) - 1)]
         sides = omega[top - 1], omega[top], omega[top + 1]
-        inside = climbed(partial(self._gains, loop), *sides, gains[top]) if len(top) else omega[:0]
+        inside = climbed(partial(self._gains, modes), *sides, gains[top]) if len(top) else omega[:0]
         return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
 
     def moving(self, omega: Array) -> Array:
@@ -107,10 +96,10 @@ class BandLandscape(Landscape):
 
     def slowest(self, x: Array) -> float:
         """Returns the largest real part of a pole that a gain moves [rad/s]; infinite if the loop is not finite."""
-        if self.own == len(self.A):
-            poles = self._closed(x).poles
+        if self.own == len(self.plant.A):
+            poles = self.modes(x).poles
         else:
-            A = self.loop(x)[0][: self.own, : self.own]
+            A = self.loop(x).A[: self.own, : self.own]
             poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.array([np.nan])
         largest = float(np.real(poles).max())
         return largest if np.isfinite(largest) else np.inf
@@ -120,19 +109,18 @@ class BandLandscape(Landscape):
 
         Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
         """
-        ports, own, known = self.ports(x), slice(self.own), self._closed(x) if self.own == len(self.A) else None
+        loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
         if known is not None and known.vectors is not None:
             poles, (right, left) = known.poles, known.vectors
             mask = np.imag(poles) >= 0
             left, right = left[mask], right[:, mask].T
         else:
-            A = self.loop(x)[0][own, own]
-            poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+            poles, left, right = (np.asarray(part) for part in linalg.eig(loop.A[own, own], left=True, right=True))
             mask = np.imag(poles) >= 0
             left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
         along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
-        driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
+        driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[mask]), slopes.reshape(len(slopes), -1)
 

@@ -47,11 +47,11 @@ class MultiObjectiveDesign:
         for i, member in enumerate(self.problem.members):
             posed = member.posed[self.problem.minimise.which].without_weighting
             if not self.problem.has_errors:
-                loop = posed.plant.closed_loop(Feedback(posed.acting(self.gain), posed.Cy))
+                loop = posed.closed_loop(Feedback(posed.acting(self.gain), posed.Cy))
                 members += [] if is_stable(loop.A, loop.dt) else [i]
                 continue
             with up_to_rounding():
-                if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces, posed.through):
+                if stable_with_errors(posed, self.gain, tolerance.sensors, tolerance.forces):
                     continue
             members.append(i)
         return tuple(members)
@@ -100,7 +100,7 @@ def multi_objective_design(
         >>> design.gain.round(2)
         array([[-5.]])
     """
-    if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
+    if any(posed.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
         raise InputError("decay [rad/s] is for continuous plants only; omit it and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "the shape of the structure")

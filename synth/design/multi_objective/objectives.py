@@ -171,11 +171,11 @@ class EnergyPeak(Objective):
     def _solved(self, x: Array) -> tuple[float, Array]:
         """Returns value and slope, shape (m q,)."""
         land = self.landscape
-        A, _ = land.loop(x)
-        Bw, _ = land.disturbed(x)
+        loop = land.loop(x)
+        A, Bw = loop.A, loop.Bw
         if not np.all(np.isfinite(A)) or not np.real(np.linalg.eigvals(A)).max() < 0:
             return np.inf, np.zeros(len(x))
-        G = land.acting(x) @ land.Cy
+        G = land.acting(x) @ land.plant.Cy
         c = self.c + self.signal.g @ G
         P = linalg.solve_continuous_lyapunov(A, -Bw @ Bw.T)
         Q = linalg.solve_continuous_lyapunov(A.T, -np.outer(c, c))
@@ -183,8 +183,7 @@ class EnergyPeak(Objective):
         if not square > 0:
             return 0.0, np.zeros(len(x))
         # Half the slope of c P c': by the dynamics, by the signal, and by measurement noise.
-        ports = land.ports(x)
-        moved = ports.B.T @ Q
-        half = moved @ P @ ports.Cy.T + np.outer(self.signal.g @ ports.after, ports.Cy @ P @ c) + moved @ Bw @ ports.Dyw.T
+        moved = loop.B.T @ Q
+        half = moved @ P @ loop.Cy.T + np.outer(self.signal.g @ land.after(x), loop.Cy @ P @ c) + moved @ Bw @ loop.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit
         return value, (half * land.scale).ravel() * (value / square)

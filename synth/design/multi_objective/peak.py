@@ -39,7 +39,7 @@ class RoadPeak(Objective):
         self.driven, self.scale, self.name = driven, scale, driven.name
         self.spare = SPARE
         self.unit = unit / self.spare
-        poles = np.linalg.eigvals(driven.A)
+        poles = np.linalg.eigvals(driven.plant.A)
         fastest = float(np.abs(poles).max()) or 1.0
         moving = np.abs(np.imag(poles))
         slowest = float(moving[moving > 1e-3 * fastest].min(initial=fastest))
@@ -91,15 +91,14 @@ class RoadPeak(Objective):
     def _moved(self, x: Array, k: int) -> Array:
         """Returns the gradient of the signal at a time by the entries of K, shape (m, q)."""
         states, _, _, _ = self._signal(x)
-        (A, c), driven, h = self.driven.loop(self._gain(x)), self.driven, self.response.h
-        K = self._gain(x)
-        after = driven.after(K)
-        measured = states[: k + 1] @ (driven.Cy + driven.Dyu @ after @ K @ driven.Cy).T
+        K, plant, h = self._gain(x), self.driven.plant, self.response.h
+        (A, c), after = self.driven.loop(K), self.driven.after(K)
+        measured = states[: k + 1] @ (plant.Cy + plant.Dyu @ after @ K @ plant.Cy).T
         # Derivative of the signal by the state at each earlier time, shape (k + 1, n).
         seen = homogeneous_response(A.T, c, h, k + 1)[::-1]
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
-        return after.T @ (((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k]))
+        return after.T @ (((seen * weights[:, None]) @ plant.B).T @ measured + np.outer(plant.D[0], measured[k]))
 
     def _gain(self, x: Array) -> Array:
         return x.reshape(self.scale.shape) * self.scale
@@ -110,7 +109,7 @@ class RoadPeak(Objective):
         if self.last is None or self.last[0] != key:
             A, c = self.driven.loop(self._gain(x))
             motion = self.response.motion(A)
-            states = motion[0] + self.response.z @ self.driven.Bw.T
+            states = motion[0] + self.response.z @ self.driven.plant.Bw.T
             self.last = key, (states, *self.response.signal(A, c, motion))
         return self.last[1]
 
@@ -190,8 +189,8 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
     """Returns the peak of the free motion after the last time, if it exceeds the known one, and a bound on that motion."""
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # the road's height from then on
-    rest = np.linalg.solve(A, -(A @ driven.Bw + driven.Br) @ z)
-    level = float(c @ rest + (c @ driven.Bw + driven.f) @ z)
+    rest = np.linalg.solve(A, -(A @ driven.plant.Bw + driven.Br) @ z)
+    level = float(c @ rest + (c @ driven.plant.Bw + driven.f) @ z)
     balanced, scale = balance(A)
     Q = linalg.solve_continuous_lyapunov(balanced.T, -np.eye(len(A))) / np.outer(scale, scale)
     reach = float(np.sqrt(c @ np.linalg.solve(Q, c)))

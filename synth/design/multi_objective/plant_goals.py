@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.schema import read
 from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from synth.design.multi_objective.objectives import BoundedSignal
-from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
-from synth.plant.generalized import GeneralizedPlant
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
+from synth.plant.generalized import Plant
 
 
 def norms_of(goals: Goals) -> list[NormOf]:
@@ -59,17 +58,13 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
     return of(values) if values else None
 
 
-def goals_of_plants(
-    where: str, section: Mapping[str, Any], plants: Sequence[GeneralizedPlant], Cy: Array, Dyw: Array | None
-) -> tuple[Goals, MultiObjectiveProblem]:
+def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Plant]) -> tuple[Goals, MultiObjectiveProblem]:
     """Returns the goals and their problem, for plants of the same size with the same measurements.
 
     Args:
         where: prefix of messages.
         section: `minimise`, `bounds`, `tolerance` and `structure` as in a vehicle file.
         plants: the first is the nominal one.
-        Cy: shape (q, n).
-        Dyw: shape (q, r); None for zero.
 
     Raises:
         InputError: a key or a number is not allowed, or the plants do not fit one another.
@@ -82,7 +77,9 @@ def goals_of_plants(
                 f"{plant.C.shape} and dt = {plant.dt}; expected those of the plant, {first.A.shape}, {first.B.shape}, "
                 f"{first.Bw.shape}, {first.C.shape} and {first.dt}"
             )
-    measured, forces, outputs = (_names(letter, count) for letter, count in zip("yuz", (len(Cy), *first.D.T.shape), strict=True))
+    measured, forces, outputs = (
+        _names(letter, count) for letter, count in zip("yuz", (len(first.Cy), *first.D.T.shape), strict=True)
+    )
     if section.get("structure") == CORNER:
         raise InputError(f'{where} structure = "{CORNER}" is for vehicles only; give rows of 0 and 1, a row for each force')
     family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
@@ -96,8 +93,8 @@ def goals_of_plants(
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
         FamilyMember(
-            tuple(MeasuredPlant(_weighing(plant, norm, outputs), Cy, Dyw) for norm in norms),
-            signals=tuple(_signal(where, plant, outputs.index(bound.energy_peak), bound, Dyw) for bound in energies),
+            tuple(_weighing(plant, norm, outputs) for norm in norms),
+            signals=tuple(_signal(where, plant, outputs.index(bound.energy_peak), bound) for bound in energies),
         )
         for plant in plants
     ]
@@ -108,7 +105,7 @@ def _names(letter: str, count: int) -> list[str]:
     return [f"{letter}{i + 1}" for i in range(count)]
 
 
-def _weighing(plant: GeneralizedPlant, norm: NormOf, outputs: Sequence[str]) -> GeneralizedPlant:
+def _weighing(plant: Plant, norm: NormOf, outputs: Sequence[str]) -> Plant:
     """The plant whose z is that of a norm."""
     if norm.signals is None:
         return plant
@@ -116,9 +113,9 @@ def _weighing(plant: GeneralizedPlant, norm: NormOf, outputs: Sequence[str]) -> 
     return replace(plant, C=weights * plant.C[rows], D=weights * plant.D[rows], Dw=weights * plant.Dw[rows])
 
 
-def _signal(where: str, plant: GeneralizedPlant, row: int, bound: EnergyBound, Dyw: Array | None) -> BoundedSignal:
+def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSignal:
     """The row of z that is bounded for disturbances of given energy."""
-    if np.any(plant.Dw[row]) or Dyw is not None or plant.dt is not None:
+    if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
             f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, as w, noise or samples act on it directly; bound a "
             "norm"

@@ -7,17 +7,15 @@ from typing import Annotated
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Bound, Checked, Index, Matrix, NotNegative, Positive, Vector, check_shape
 from models.common.errors import InputError
-from models.laws.linear import static_law
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
 from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak, NormObjective, Objective
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import RoadLoop
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +42,10 @@ class NormSpecification(Checked):
         check_band(*self.band)
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredPlant(Checked):
-    """Plant with one z, and its measurements.
+def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: Matrix | None = None) -> Plant:
+    """Returns a plant with measurements y = Cy x + Dyw w + `through` u.
 
-    Attributes:
+    Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
         Dyw: shape (q, r); None without noise.
@@ -56,39 +53,14 @@ class MeasuredPlant(Checked):
 
     Raises:
         InputError: a matrix does not fit the plant.
+
+    Example:
+        >>> from synth import GeneralizedPlant, MeasuredPlant
+        >>> plant = GeneralizedPlant(A=[[0, 1], [-4, -1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0]], D=[[0]], Dw=[[0]])
+        >>> MeasuredPlant(plant, Cy=[[0, 1]]).Dyw.shape
+        (1, 1)
     """
-
-    plant: GeneralizedPlant
-    Cy: Matrix
-    Dyw: Matrix | None = None
-    through: Matrix | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_shape("Cy", self.Cy, (len(self.Cy), len(self.plant.A)), "a column for each state of the plant")
-        if self.Dyw is not None:
-            check_shape("Dyw", self.Dyw, (len(self.Cy), self.plant.Bw.shape[1]), "rows of Cy by columns of Bw")
-        if self.through is not None:
-            check_shape("through", self.through, (len(self.Cy), self.plant.B.shape[1]), "rows of Cy by inputs of the plant")
-
-    def acting(self, K: Array) -> Array:
-        """Returns the gain on C_y x + Dyw w that acts as K on the measurements, (I - K through)^-1 K, shape (m, q).
-
-        Raises:
-            InputError: the loop has no solution.
-        """
-        return K if self.through is None else static_law(K).fed_back(self.through).D
-
-    def on_readings(self, G: Array) -> Array:
-        """Returns the gain on readings that acts as G acts on C_y x + Dyw w: the inverse of `acting`."""
-        return G if self.through is None else static_law(G).fed_back(-self.through).D
-
-    @property
-    def without_weighting(self) -> "MeasuredPlant":
-        """The plant without its filters, whose states are the last: a gain decides the stability of this part alone."""
-        plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
-        alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
-        return MeasuredPlant(alone, self.Cy[:, own], self.Dyw, self.through)
+    return replace(plant, Cy=Cy, Dyw=Dyw, Dyu=through)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +68,12 @@ class FamilyMember(Checked):
     """A plant of a family, with its signals.
 
     Attributes:
-        posed: the plant with the z of each norm.
+        posed: the plant with its measurements and the z of each norm.
         driven_by: the plant on roads, each with its bounded signal.
         signals: signals of the first of `posed` with a bound for roads of given energy.
     """
 
-    posed: Annotated[tuple[MeasuredPlant, ...], AT_LEAST_ONE]
+    posed: Annotated[tuple[Plant, ...], AT_LEAST_ONE]
     driven_by: tuple[RoadLoop, ...] = ()
     signals: tuple[BoundedSignal, ...] = ()
 
@@ -123,14 +95,13 @@ class GainErrors(Checked):
         """Key that is equal for equal errors."""
         return self.sensors.tobytes() + self.forces.tobytes()
 
-    def on(self, posed: MeasuredPlant) -> MeasuredPlant:
-        """Returns a plant with these errors, and its measurements."""
-        u, y, plant = 1 + self.forces, 1 + self.sensors, posed.plant
+    def on(self, plant: Plant) -> Plant:
+        """Returns a plant with these errors."""
+        u, y = 1 + self.forces, 1 + self.sensors[:, None]
         if np.all(u == 1) and np.all(y == 1):
-            return posed
-        plant = replace(plant, B=plant.B * u, D=plant.D * u)
-        Dyw = None if posed.Dyw is None else y[:, None] * posed.Dyw
-        return MeasuredPlant(plant, y[:, None] * posed.Cy, Dyw, None if posed.through is None else y[:, None] * posed.through * u)
+            return plant
+        measured = {"Cy": y * plant.Cy, "Dyu": y * plant.Dyu * u, "Dyw": y * plant.Dyw}
+        return replace(plant, B=plant.B * u, D=plant.D * u, **measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +135,7 @@ class MultiObjectiveProblem(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        plant, Cy = self.members[0].posed[0].plant, self.members[0].posed[0].Cy
-        m, q = plant.B.shape[1], len(Cy)
+        q, m = self.members[0].posed[0].Dyu.shape
         if not m or not q:
             raise InputError(f"the plants of the family have {m} inputs and {q} measurements; give at least one of each")
         check_shape("structure", self.structure, (m, q), "a row for each input, and a column for each measured signal")
@@ -218,8 +188,7 @@ class MultiObjectiveProblem(Checked):
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
         """Returns the landscape of a member's plant with errors."""
-        posed = errors.on(self.members[i].posed[which])
-        return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like, posed.through)
+        return BandLandscape(errors.on(self.members[i].posed[which]), band, like)
 
     def nominal(self) -> BandLandscape:
         """Returns the landscape of the first member without errors, which defines the points of all."""

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from synth.plant.generalized import Plant
 
 NODES = 8  # of the quadrature in one step
 SMALLER = 24  # halvings of a step towards a kink
@@ -44,38 +45,33 @@ class RoadExcitation:
 
 @dataclass(frozen=True, eq=False)
 class RoadLoop:
-    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x + Dyu u, and the signal c x + g u + f z that is bounded.
+    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x + Dyu u, and the signal C x + D u + f z that is bounded.
 
     Attributes:
-        A, B, Cy, Dyu, Bw, Br: shapes (n, n), (n, m), (q, n), (q, m), (n, r), (n, r).
-        c, g, f: coefficients of the signal, shapes (n,), (m,), (r,).
+        plant: n states, m inputs, r wheels; the only row of C and D is that of the signal.
+        Br: shape (n, r).
+        f: shape (r,).
         drive: the road.
         name: description of the signal and the road.
     """
 
     given_as = "a plant on a road"
 
-    A: Array
-    B: Array
-    Cy: Array
-    Dyu: Array
-    Bw: Array
+    plant: Plant
     Br: Array
-    c: Array
-    g: Array
     f: Array
     drive: RoadExcitation
     name: str = "a peak"
 
     def loop(self, K: Array) -> tuple[Array, Array]:
-        """Returns A + B G and c + g G with G = (I - K Dyu)^-1 K C_y."""
-        G = self.after(K) @ K @ self.Cy
-        return self.A + self.B @ G, self.c + self.g @ G
+        """Returns A + B G and C + D G with G = (I - K Dyu)^-1 K C_y, shapes (n, n) and (n,)."""
+        G, plant = self.after(K) @ K @ self.plant.Cy, self.plant
+        return plant.A + plant.B @ G, plant.C[0] + plant.D[0] @ G
 
     def after(self, K: Array) -> Array:
         """Returns (I - K Dyu)^-1, shape (m, m); NaN where the loop through the measurements has no solution."""
         try:
-            return np.linalg.inv(np.eye(len(K)) - K @ self.Dyu)
+            return np.linalg.inv(np.eye(len(K)) - K @ self.plant.Dyu)
         except np.linalg.LinAlgError:
             return np.full((len(K), len(K)), np.nan)
 
@@ -156,7 +152,7 @@ class RoadResponse:
     def motion(self, A: Array) -> tuple[Array, Array]:
         """Returns xi of a loop with this matrix at all times, shape (T, n), and at the ends of all pieces, shape (P, n)."""
         values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are
-        E = A @ self.driven.Bw + self.driven.Br
+        E = A @ self.driven.plant.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
             sound = np.linalg.norm(vectors) * np.linalg.norm(inverse) < ILL_CONDITIONED
@@ -221,8 +217,9 @@ class RoadResponse:
         """Returns a loop's signal and slope at all times, shapes (T,), and the signal at the ends of all pieces, shape (P,)."""
         states, ends = motion
         driven = self.driven
-        direct = c @ driven.Bw + driven.f
-        slopes = (states @ A.T + self.z @ (A @ driven.Bw + driven.Br).T) @ c + _finite(self.rates @ direct)
+        Bw = driven.plant.Bw
+        direct = c @ Bw + driven.f
+        slopes = (states @ A.T + self.z @ (A @ Bw + driven.Br).T) @ c + _finite(self.rates @ direct)
         return states @ c + self.z @ direct, slopes, ends @ c + self.z_ends @ direct
 
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: A
         landscapes: landscapes of the plants, with the same points.
         free: indices of the entries of a point that may move.
     """
-    rate = float(np.abs(np.linalg.eigvals(landscapes[0].A)).max()) or 1.0
+    rate = float(np.abs(np.linalg.eigvals(landscapes[0].plant.A)).max()) or 1.0
 
     def abscissa(t: Array, _: float) -> tuple[float, Array]:
         there = x.copy()

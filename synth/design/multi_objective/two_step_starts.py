@@ -9,10 +9,10 @@ from models.common.errors import InputError
 from models.common.printed import percent
 from synth.design.multi_model import slack_design
 from synth.design.multi_objective.design import MultiObjectiveDesign, multi_objective_design
-from synth.design.multi_objective.problem import MeasuredPlant, MultiObjectiveProblem
+from synth.design.multi_objective.problem import MultiObjectiveProblem
 from synth.design.multi_objective.search import Told
 from synth.design.two_step import two_step_design
-from synth.plant.generalized import on_all_rows
+from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError
 
 
@@ -40,13 +40,13 @@ def _slack(asked: MultiObjectiveProblem) -> list[Array]:
     """The gain of the two steps with a slack variable, for all members at once."""
     plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
     try:
-        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
+        few = slack_design(plants, [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
         return [plants[0].on_readings(on_all_rows(few, kept, len(kept)))]
     except InputError:
         return []
 
 
-def _of_state(posed: MeasuredPlant) -> Array:
+def _of_state(posed: Plant) -> Array:
     """Returns True for the measurements that say something of the state, shape (q,): of forces alone nothing is designed."""
     return np.any(posed.Cy != 0, axis=1)
 
@@ -58,7 +58,7 @@ def two_step_gains(asked: MultiObjectiveProblem) -> list[Array]:
         posed = asked.members[i].posed[0]
         try:
             kept = _of_state(posed)
-            few = two_step_design(posed.plant, posed.Cy[kept]).gain
+            few = two_step_design(posed.rows(kept)).gain
             gains.append(posed.on_readings(on_all_rows(few, kept, len(kept))))
         except InputError:
             continue

@@ -126,8 +126,8 @@ class WorstCaseErrors:
         """Returns the largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""
         landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
-        own = slice(landscape.own)
-        A = landscape.A[own, own] + landscape.B[own] @ landscape.acting(points) @ landscape.Cy[:, own]
+        own, plant = slice(landscape.own), landscape.plant
+        A = plant.A[own, own] + plant.B[own] @ landscape.acting(points) @ plant.Cy[:, own]
         sound, slowest = np.all(np.isfinite(A), axis=(1, 2)), np.full(len(A), np.inf)
         slowest[sound] = np.linalg.eigvals(A[sound]).real.max(axis=1)
         return slowest

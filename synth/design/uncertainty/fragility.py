@@ -20,7 +20,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 
 INT16 = 2**15 - 1  # the largest number
@@ -28,9 +28,7 @@ FLOAT16 = 2.0**15  # a matrix is held over the power of two that brings its larg
 FORMATS = ("int16", "float16")
 
 
-def rounding(
-    law: LinearLaw, closed: Callable[[LinearLaw], tuple[GeneralizedPlant, Feedback]], plant: GeneralizedPlant
-) -> dict[str, Certificate]:
+def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback]], plant: Plant) -> dict[str, Certificate]:
     """Returns the certificates of a law with coefficients rounded to each of `FORMATS`.
 
     Args:

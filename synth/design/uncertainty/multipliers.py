@@ -19,20 +19,19 @@ not believed. The number of unknowns grows with the number of errors, not with t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.analysis.norm import transfer_matrix
 from synth.analysis.stability import is_stable
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_throughout
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.lmi.barrier import Barrier, newton
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 
 NEAR = 3e-3  # relative; how far the bound lies above the best multipliers' peak
 EXACT = 1e-6  # relative: of p* D p and gamma^2 so much is left unused, for rounding
@@ -44,22 +43,14 @@ ENOUGH = 0.99  # of gamma^2: the search for the least one ends below that
 
 
 class CutLoop(NamedTuple):
-    """The loop of a box's middle, cut at its errors: from [p; w] to [q; z].
+    """The loop of a box's middle, cut at its errors: a system from [p; w] to [q; z], and the number k of errors."""
 
-    Attributes:
-        A, B, C, D: shapes (n, n), (n, k + r), (k + d, n), (k + d, k + r).
-        errors: k.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    system: Plant
     errors: int
 
     def responses(self, omega: Array) -> Array:
         """Returns T(j omega), shape (F, k + d, k + r), for finite frequencies [rad/s] of shape (F,)."""
-        return transfer_matrix(self.A, self.B, self.C, self.D, omega)
+        return self.system.frequency_response(omega)
 
 
 def cut_loop(gain: ScaledGain, box: Box) -> CutLoop:
@@ -75,25 +66,25 @@ def cut_loop(gain: ScaledGain, box: Box) -> CutLoop:
     acting = gain.acting(middle)
     closing = np.linalg.inv(gain.return_difference(gain.scaled(middle)))
     into_y = half[of_y] * np.eye(q)[:, of_y]
-    u_x, u_w = acting @ gain.Cy, acting @ gain.Dyw
+    u_x, u_w = acting @ plant.Cy, acting @ plant.Dyw
     u_p = closing @ np.hstack([middle[q:, None] * K @ into_y, half[q:][of_u] * np.eye(m)[:, of_u]])
-    y_x, y_p, y_w = gain.Cy + gain.Dyu @ u_x, gain.Dyu @ u_p, gain.Dyw + gain.Dyu @ u_w
+    y_x, y_p, y_w = plant.Cy + plant.Dyu @ u_x, plant.Dyu @ u_p, plant.Dyw + plant.Dyu @ u_w
     asked_p = K @ (middle[:q, None] * y_p + np.hstack([into_y, np.zeros((q, len(of_u)))]))
     asked_x, asked_w = K @ (middle[:q, None] * y_x), K @ (middle[:q, None] * y_w)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
-    return CutLoop(
+    whole = Plant.without_inputs(
         A + B @ u_x,
         np.hstack([B @ u_p, plant.Bw + B @ u_w]),
         np.vstack([y_x[of_y], asked_x[of_u], C + D @ u_x]),
         np.block([[y_p[of_y], y_w[of_y]], [asked_p[of_u], asked_w[of_u]], [D @ u_p, plant.Dw + D @ u_w]]),
-        len(box.uncertain),
     )
+    return CutLoop(whole, len(box.uncertain))
 
 
 def without_performance(loop: CutLoop) -> CutLoop:
     """Returns the loop from p to q alone, which decides stability."""
-    k = loop.errors
-    return CutLoop(loop.A, loop.B[:, :k], loop.C[:k], loop.D[:k, :k], k)
+    M, k = loop.system, loop.errors
+    return CutLoop(Plant.without_inputs(M.A, M.Bw[:, :k], M.C[:k], M.Dw[:k, :k]), k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +105,7 @@ class MultiplierForm:
     @property
     def weights(self) -> tuple[Array, Array, Array]:
         """Returns W, L and R of the form [T; I]* [W, L; L*, R] [T; I]: diagonals of W and R, and L, shape (k + d, k + r)."""
-        (rows, columns), k = self.loop.D.shape, self.loop.errors
+        (rows, columns), k = self.loop.system.Dw.shape, self.loop.errors
         L = np.zeros((rows, columns), dtype=complex)
         L[np.arange(k), np.arange(k)] = -1j * self.G
         unused = 1 - EXACT
@@ -134,7 +125,8 @@ class MultiplierForm:
 
         They are the eigenvalues of a Hamiltonian matrix; all their imaginary parts are taken, on the axis or not.
         """
-        A, B, C, D, _ = self.loop
+        M = self.loop.system
+        A, B, C, D = M.A, M.Bw, M.C, M.Dw
         W, L, R = self.weights
         rest = W[:, None] * D + L
         into = D.T @ (W[:, None] * C) + L.conj().T @ C
@@ -153,12 +145,12 @@ class MultiplierForm:
         """
         singular = self.singular()
         inside = singular[(singular > low) & (singular < high)]
-        last = 2 * max(low, float(inside.max(initial=0.0)), float(np.abs(np.linalg.eigvals(self.loop.A)).max()))
+        last = 2 * max(low, float(inside.max(initial=0.0)), float(np.abs(np.linalg.eigvals(self.loop.system.A)).max()))
         ends = np.concatenate([[low], inside, [high if np.isfinite(high) else last]])
         tried = np.concatenate([ends[:1], (ends[:-1] + ends[1:]) / 2])
         responses = self.loop.responses(tried)
         if np.isinf(high):
-            responses = np.concatenate([responses, self.loop.D[None].astype(complex)])
+            responses = np.concatenate([responses, self.loop.system.Dw[None].astype(complex)])
         return bool(np.all(self.at(responses) < 0))
 
     def reach(self, omega: float) -> float:
@@ -169,7 +161,7 @@ class MultiplierForm:
             following = (end + above[i + 1]) / 2 if i + 1 < len(above) else 2 * end
             if not self.at(self.loop.responses(np.array([following])))[0] < 0:
                 return float(end)
-        return np.inf if self.at(self.loop.D[None].astype(complex))[0] < 0 else omega
+        return np.inf if self.at(self.loop.system.Dw[None].astype(complex))[0] < 0 else omega
 
 
 class MultiplierInterval(NamedTuple):
@@ -206,16 +198,14 @@ class MultiplierProof:
         loop = cut_loop(gain, box)
         if np.isinf(self.gamma):
             loop = without_performance(loop)
-            if (self.low, self.high) != (0.0, np.inf) or not is_stable(loop.A):
+            if (self.low, self.high) != (0.0, np.inf) or not is_stable(loop.system.A):
                 return False
         return all(MultiplierForm(loop, part.D, part.G, self.gamma**2).negative(part.low, part.high) for part in self.parts)
 
 
-def stable_with_errors(
-    plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array, through: Array | None = None
-) -> bool:
+def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> bool:
     """Returns True if the loop is proved stable for all errors, by either proof; arguments as for `worst_norm`."""
-    gain = scaled_gain(plant, Cy, K, None, through)
+    gain = scaled_gain(replace(plant, Dyw=None), K)
     return all_stable(gain, box_of(gain, d, e))
 
 
@@ -273,7 +263,7 @@ class _Search:
 
     def __init__(self, loop: CutLoop, unit: float) -> None:
         self.loop, self.unit = loop, unit
-        self.fastest = float(np.abs(np.linalg.eigvals(loop.A)).max())
+        self.fastest = float(np.abs(np.linalg.eigvals(loop.system.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
         """Adds intervals that prove a bound, to those that prove a lower one, until they fill a band, and returns None.

@@ -3,44 +3,30 @@
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Matrix, check, check_shape
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.uncertainty_box import Box, ScaledGain
-from synth.plant.augmented import on_larger_plant
 from synth.plant.discrete import mapped
-from synth.plant.generalized import GeneralizedPlant, measurement_matrices, real_matrix
+from synth.plant.generalized import Plant, law_gain, real_matrix
 
 
-def scaled_gain(
-    plant: GeneralizedPlant, Cy: Array, law: Array | LinearLaw, Dyw: Array | None = None, through: Array | None = None
-) -> ScaledGain:
+def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
     """Returns the loops of a law with factors on readings and forces; the law's own states have no errors.
 
     Args:
-        plant: n states, m inputs; continuous or discrete, as the law.
-        Cy: shape (q, n).
+        plant: n states, m inputs and q measurements; continuous or discrete, as the law; with Dyu only if it is continuous.
         law: u = K y, shape (m, q), or one with k states.
-        Dyw: shape (q, r); zero if it is not given.
-        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m). Default: zero.
 
     Raises:
         InputError: a matrix has the wrong shape, or is not one of real finite numbers.
     """
-    if through is not None:
-        check_shape("through", check("through", through, Matrix), (len(Cy), plant.B.shape[1]), "signals, inputs")
-    Cy, noise = measurement_matrices(plant, Cy, Dyw, through)
-    (q, _), m = Cy.shape, plant.B.shape[1]
+    plant = plant.measured()
+    q, m = plant.Dyu.shape
     law = law if isinstance(law, LinearLaw) else static_law(real_matrix(law, "K", f"({m}, {q})"))
     if law.D.shape != (m, q):
         raise InputError(f"K has shape {law.D.shape}; expected {(m, q)}: a row per input, a column per measured signal")
-    larger, feedback = on_larger_plant(plant, Cy, law)
-    k = law.states
-    there = mapped(larger, feedback.Cy, np.vstack([noise, np.zeros((k, noise.shape[1]))]))
-    Dyu = there.Dyu
-    if through is not None and np.any(through):
-        Dyu = Dyu + np.pad(through, ((0, k), (0, k)))
-    return ScaledGain(there.plant, feedback.K, there.Cy, there.Dyw, Dyu, there.before, q, m)
+    image, K0 = mapped(plant.with_states(law.states))
+    return ScaledGain(image, law_gain(law), K0, q, m)
 
 
 def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:

@@ -17,7 +17,7 @@ from models.laws.linear import LinearLaw
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant
 from synth.plant.augmented import append, gain, with_weights
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.plant.state_space import StateSpace
 
@@ -25,7 +25,7 @@ TURNS = 6
 WORTH = 2e-3  # relative; a turn that lowers the bound by less is the last
 STEEP = 4  # power of mu in the weight of a frequency
 
-Design = Callable[[GeneralizedPlant, Array, Array], LinearLaw]
+Design = Callable[[Plant], LinearLaw]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def robust_design(
 
     Args:
         structured: the plant with its errors.
-        design: returns a continuous law on y for a plant with C_y and Dyw; may raise a DesignError.
+        design: returns a continuous law on the measurements of a plant; may raise a DesignError.
         start: law that stabilises the plant; it is the result if the search finds no better one.
         on_turn: callback that receives the best law so far after each turn.
         scaled: law whose scales are the first; the start by default.
@@ -62,7 +62,7 @@ def robust_design(
     best, loop = start, structured.closed_by(start.law if scaled is None else scaled)
     for turn in range(1, TURNS + 1):
         try:
-            law = design(*scaled_plant(structured, scaling_filters(loop)))
+            law = design(scaled_plant(structured, scaling_filters(loop)))
         except DesignError:
             break
         loop = structured.closed_by(law)
@@ -75,10 +75,8 @@ def robust_design(
     return best
 
 
-def scaled_plant(
-    structured: StructuredPlant, filters: list[tuple[StateSpace, StateSpace]]
-) -> tuple[GeneralizedPlant, Array, Array]:
-    """Returns the plant between scales of its errors, and its C_y and Dyw.
+def scaled_plant(structured: StructuredPlant, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
+    """Returns the plant between scales of its errors.
 
     Args:
         filters: filters for each error: the scale of q and its inverse, whose output is p.
@@ -86,9 +84,7 @@ def scaled_plant(
     plant, k = structured.plant, structured.errors
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
     inputs = append(gain(np.eye(plant.Bw.shape[1] - k)), *(inverse for _, inverse in filters))
-    whole = with_weights(plant, outputs, inputs)
-    Cy = np.hstack([structured.Cy, np.zeros((len(structured.Cy), len(outputs.A))), structured.Dyw @ inputs.C])
-    return whole, Cy, structured.Dyw @ inputs.D
+    return with_weights(plant, outputs, inputs)
 
 
 def scaling_filters(loop: StructuredLoop) -> list[tuple[StateSpace, StateSpace]]:

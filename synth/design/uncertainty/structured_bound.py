@@ -201,7 +201,7 @@ def _interval(gain: Gain, level: float, omega: float) -> tuple[float, float]:
 
     The gain at the frequency is below the level. Between two crossings the gain lies above the level everywhere or nowhere.
     """
-    crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, level)
+    crossings = level_crossings(gain.system, level)
     last = max(2 * crossings[-1], 2 * omega)
     ends = np.append(crossings, last)
     below = gain.at((ends[:-1] + ends[1:]) / 2) <= level

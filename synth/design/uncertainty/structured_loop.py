@@ -15,9 +15,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.analysis.norm import transfer_matrix
 from synth.plant.augmented import append, closed_by, gain, with_weights
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 ROUNDS = 50  # of balancing; each halves the distance, in logarithms
@@ -33,7 +32,7 @@ class StructuredLoop:
         errors: number k of errors.
     """
 
-    loop: GeneralizedPlant
+    loop: Plant
     errors: int
 
     @property
@@ -41,7 +40,7 @@ class StructuredLoop:
         """The loop from p to q alone, which decides stability."""
         M, k = self.loop, self.errors
         nothing = np.zeros((k, M.B.shape[1]))
-        return StructuredLoop(GeneralizedPlant(M.A, M.B, M.Bw[:, -k:], M.C[-k:], nothing, M.Dw[-k:, -k:]), k)
+        return StructuredLoop(Plant(M.A, M.B, M.Bw[:, -k:], M.C[-k:], nothing, M.Dw[-k:, -k:]), k)
 
     @property
     def performance(self) -> bool:
@@ -50,9 +49,9 @@ class StructuredLoop:
 
     def at(self, omega: Array) -> Array:
         """Returns M(j omega), complex, shape (F, d + k, r + k), for finite frequencies [rad/s] of shape (F,)."""
-        return transfer_matrix(self.loop.A, self.loop.Bw, self.loop.C, self.loop.Dw, omega)
+        return self.loop.frequency_response(omega)
 
-    def scaled(self, scales: Array) -> GeneralizedPlant:
+    def scaled(self, scales: Array) -> Plant:
         """Returns D M D^-1, where D scales each q, and D^-1 each p, by positive scales of shape (k,)."""
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
@@ -60,7 +59,7 @@ class StructuredLoop:
         Dw[-k:] *= scales[:, None]
         Bw[:, -k:] /= scales
         Dw[:, -k:] /= scales
-        return GeneralizedPlant(M.A, M.B, Bw, C, np.zeros((len(C), M.B.shape[1])), Dw)
+        return Plant(M.A, M.B, Bw, C, np.zeros((len(C), M.B.shape[1])), Dw)
 
     @cached_property
     def units(self) -> Array:
@@ -94,15 +93,11 @@ class StructuredPlant:
     """A plant from [w; p; u] to [z; q; y] with k weighted errors.
 
     Attributes:
-        plant: n states, m inputs, r + k disturbances, d + k controlled outputs.
-        Cy, through, Dyw: y = C_y x + `through` u + Dyw [w; p], shapes (q, n), (q, m), (q, r + k).
+        plant: n states, m inputs, r + k disturbances, d + k controlled outputs and q measurements.
         errors: number k of errors.
     """
 
-    plant: GeneralizedPlant
-    Cy: Array
-    through: Array
-    Dyw: Array
+    plant: Plant
     errors: int
 
     def closed_by(self, law: LinearLaw) -> StructuredLoop:
@@ -111,35 +106,31 @@ class StructuredPlant:
         Raises:
             InputError: the loop through the measurements has no solution.
         """
-        return StructuredLoop(closed_by(self.plant, self.Cy, law.fed_back(self.through), self.Dyw), self.errors)
+        return StructuredLoop(closed_by(self.plant, law), self.errors)
 
 
 def plant_with_errors(
-    plant: GeneralizedPlant,
-    Cy: Array,
-    through: Array,
-    Dyw: Array | None,
+    plant: Plant,
     of_errors: tuple[Array, Array],
     weights: tuple[Sequence[StateSpace | None], Sequence[StateSpace | None]],
 ) -> StructuredPlant:
     """Returns a plant with weighted errors of its forces and readings.
 
     Args:
-        plant: plant in continuous time with n states, m inputs, r disturbances and d controlled outputs.
-        Cy, through, Dyw: y = C_y x + `through` u + Dyw w, shapes (q, n), (q, m), (q, r); no Dyw is zero.
+        plant: plant in continuous time with n states, m inputs, r disturbances, d controlled outputs and q measurements.
         of_errors: the columns of state and z of a force that is added to what is requested, shapes (n, m), (d, m).
         weights: weight of each force and of each measurement; None for one without an error.
     """
-    (q, n), (d, m), r = Cy.shape, plant.D.shape, plant.Bw.shape[1]
+    (q, n), (d, m), r = plant.Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
     k = len(forces) + len(readings)
-    noise = np.hstack([np.zeros((q, r)) if Dyw is None else Dyw, through[:, forces]])  # with the acting forces
-    wide = GeneralizedPlant(
+    noise = np.hstack([plant.Dyw, plant.Dyu[:, forces]])  # with the acting forces
+    wide = Plant(
         A=plant.A,
         B=plant.B,
         Bw=np.hstack([plant.Bw, of_errors[0][:, forces], np.zeros((n, len(readings)))]),
-        C=np.vstack([plant.C, np.zeros((len(forces), n)), Cy[readings]]),
-        D=np.vstack([plant.D, np.eye(m)[forces], through[readings]]),
+        C=np.vstack([plant.C, np.zeros((len(forces), n)), plant.Cy[readings]]),
+        D=np.vstack([plant.D, np.eye(m)[forces], plant.Dyu[readings]]),
         Dw=np.vstack(
             [
                 np.hstack([plant.Dw, of_errors[1][:, forces], np.zeros((d, len(readings)))]),
@@ -147,8 +138,9 @@ def plant_with_errors(
                 np.hstack([noise[readings], np.zeros((len(readings), len(readings)))]),
             ]
         ),
+        Cy=plant.Cy,
+        Dyu=plant.Dyu,
+        Dyw=np.hstack([noise, np.eye(q)[:, readings]]),
     )
     filters = [one for some in weights for one in some if one is not None]
-    weighted = with_weights(wide, append(gain(np.eye(d)), *filters), gain(np.eye(r + k)))
-    rows = np.hstack([Cy, np.zeros((q, len(weighted.A) - n))])
-    return StructuredPlant(weighted, rows, through, np.hstack([noise, np.eye(q)[:, readings]]), k)
+    return StructuredPlant(with_weights(wide, append(gain(np.eye(d)), *filters), gain(np.eye(r + k))), k)

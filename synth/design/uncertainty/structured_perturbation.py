@@ -18,7 +18,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.plant.augmented import append
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
@@ -104,10 +104,9 @@ def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
     return best
 
 
-def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -> GeneralizedPlant | None:
+def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -> Plant | None:
     """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
     M, k, E = structured.loop, structured.errors, append(*errors)
-    n, e = len(M.A), len(E.A)
     into, out = M.Bw[:, -k:], M.C[-k:]
     inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
     if np.linalg.cond(inside) > 1e12:
@@ -115,18 +114,18 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     # p = C_e x_e + D_e q, q = C_q x + D_qw w + D_qp p.
     at_once = np.linalg.inv(inside)
     rows = slice(None, -k) if structured.performance else slice(None)
-    p_x, p_e = at_once @ E.D @ out, at_once @ E.C
+    p_x, p_e = at_once @ E.Dw @ out, at_once @ E.C
     w_in = M.Dw[-k:, rows]
-    p_w = at_once @ E.D @ w_in
+    p_w = at_once @ E.Dw @ w_in
     q_x, q_e, q_w = out + M.Dw[-k:, -k:] @ p_x, M.Dw[-k:, -k:] @ p_e, w_in + M.Dw[-k:, -k:] @ p_w
-    A = np.block([[M.A + into @ p_x, into @ p_e], [E.B @ q_x, E.A + E.B @ q_e]])
+    A = np.block([[M.A + into @ p_x, into @ p_e], [E.Bw @ q_x, E.A + E.Bw @ q_e]])
     C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
-    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
+    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.Bw @ q_w])
     Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
-    return GeneralizedPlant(A, np.zeros((n + e, 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    return Plant.without_inputs(A, Bw, C, Dw)
 
 
-def _norm(closed: GeneralizedPlant | None, structured: StructuredLoop) -> float:
+def _norm(closed: Plant | None, structured: StructuredLoop) -> float:
     """Returns the norm of a closed loop, infinite if it is not stable; 0, which claims nothing, if that is not known."""
     if closed is None:
         return 0.0

@@ -25,7 +25,7 @@ from synth.design.descent.landscape import Landscape
 from synth.design.uncertainty.problem import box_of, errors_of, scaled_gain
 from synth.lmi.barrier import boundary, newton
 from synth.lmi.stacked_barrier import StackedBarrier
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics
 
 ALL = 8  # free factors up to which every corner is looked at; of more, those that flips lead to
@@ -45,7 +45,7 @@ class WorstCaseNormFunction:
 
     def __init__(self, gain: ScaledGain) -> None:
         self.gain = gain
-        self.landscape = Landscape(gain.plant, gain.Cy, gain.Dyw)
+        self.landscape = Landscape(gain.plant.without_feedthrough)
         self.highest, self.at = 0.0, np.ones(sum(gain.K.shape))
         self._known: dict[bytes, tuple[float, float]] = {}
 
@@ -80,7 +80,7 @@ class WorstCaseNormFunction:
         K, q = gain.acting(factors), gain.K.shape[1]
         by_acting = landscape.slope(landscape.point(K), self._peak(factors)[1]).reshape(K.shape) / landscape.scale
         after = np.linalg.inv(gain.return_difference(gain.scaled(factors)))
-        by_scaled = after.T @ by_acting @ (np.eye(q) + gain.Dyu @ K).T * gain.K
+        by_scaled = after.T @ by_acting @ (np.eye(q) + gain.plant.Dyu @ K).T * gain.K
         return np.concatenate([factors[q:] @ by_scaled, by_scaled @ factors[:q]])
 
 
@@ -153,7 +153,7 @@ def norm_at(gain: ScaledGain, factors: Array) -> float:
         A, Bw, C, Dw = gain.loops(factors)
     except np.linalg.LinAlgError:
         return np.inf
-    return hinf_norm(GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)).value
+    return hinf_norm(Plant.without_inputs(A, Bw, C, Dw)).value
 
 
 FASTER = 8.0  # how much weight t gains from one centre to the next
@@ -324,7 +324,7 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
     if not norm < level or not gain.well_posed(box):
         return None
     A, Bw, C, Dw = gain.loops(box.middle)
-    loop = GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+    loop = Plant.without_inputs(A, Bw, C, Dw)
     try:
         start = bounding_x(loop, level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
         X = common_x(gain, box, start, eta)
@@ -378,8 +378,8 @@ class WorstNorm:
 
 @numerics()
 def worst_norm(
-    plant: GeneralizedPlant,
-    Cy: Array,
+    plant: Plant,
+    Cy: Array | None,
     K: Array | LinearLaw,
     d: Array | float,
     e: Array | float = 0.0,
@@ -393,7 +393,7 @@ def worst_norm(
 
     Args:
         plant: n states, m inputs; continuous or discrete.
-        Cy: shape (q, n).
+        Cy: shape (q, n); None for the plant's own measurements.
         K: the gain, shape (m, q); or a law with states, which then stands between two diagonal scalings.
         d: error for all measurements, or an error for each, shape (q,).
         e: error for all forces, or an error for each, shape (m,).
@@ -414,7 +414,7 @@ def worst_norm(
         >>> f"{worst.found:.4f} is met, at most {worst.proved:.4f}"
         '0.3099 is met, at most 0.3099'
     """
-    gain = scaled_gain(plant, Cy, K, Dyw, through)
+    gain = scaled_gain(plant.measured(Cy, Dyw, through), K)
     return worst_in(gain, box_of(gain, d, e), enough)
 
 

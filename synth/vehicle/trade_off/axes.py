@@ -17,7 +17,7 @@ from synth.analysis.band_norm import norm_in_band
 from synth.controller.problem import Problem, problem
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.problem import GainErrors, MeasuredPlant
+from synth.design.multi_objective.problem import GainErrors
 from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.numerics import numerics
 from synth.vehicle.multi_objective import weighing
@@ -176,7 +176,7 @@ def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: Line
     """A law on an axis; infinite where its loop, or one with errors, is unstable."""
     posed = _posed(vehicle, axis, entry)
     if axis.off and len(entry.measured):
-        worst = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.feedthrough)
+        worst = worst_norm(posed.plant, None, law, axis.off)
         return AxisValue(worst.found, worst.proved, float("nan"))
     plant, G = posed.closed_loop(law)
     band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
@@ -195,10 +195,9 @@ def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: 
     Raises:
         InputError: the errors have too many vertices.
     """
-    own = _posed(vehicle, axis, entry)
-    plain, (m, _) = MeasuredPlant(own.plant, own.Cy, own.Dyw, own.feedthrough), like.shape
-    off = (GainErrors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
-    return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like, each.through) for each in off]
+    plant, (m, q) = _posed(vehicle, axis, entry).plant, like.shape
+    off = (GainErrors(errors, np.zeros(m)).on(plant) for errors in _corners(axis, q))
+    return [BandLandscape(each, axis.norm.rates, like) for each in off]
 
 
 def _corners(axis: FrontAxis, readings: int) -> list[Array]:

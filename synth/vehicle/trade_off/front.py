@@ -20,7 +20,7 @@ from synth.controller.problem import generalized_plant, problem
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, weighing
@@ -188,9 +188,9 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one
-        starts.append(posed.on_readings(two_step_design(posed.plant, posed.Cy).gain))
+        starts.append(posed.on_readings(two_step_design(posed).gain))
     if problem.decay is None and starts:
-        decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
+        decay = -float(np.real(stability(posed.A + posed.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
         problem = replace(problem, decay=SLOWER * decay if decay > 0 else None)
     search = MinimaxSearch(problem, lambda goal, within: None)
     return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
@@ -218,6 +218,6 @@ def _limits(
     vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]
 ) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
-    plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
+    plants: list[Plant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, [axis.norm.rates for axis in axes], np.where(units > 0, units, 1.0))

@@ -20,7 +20,7 @@ from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 
 RATIOS = range(-9, 10)  # powers of two: of one axis' weight to the other's, in units of their own
@@ -57,7 +57,7 @@ class LowerBoundCurve:
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
-def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
+def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
     """Yields the bounds of every two axes.
 
     Args:
@@ -69,7 +69,7 @@ def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> I
 
 
 @numerics()
-def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
+def _limit(plants: list[Plant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
     norms = np.zeros(len(weights))  # 0 if no bound is found
