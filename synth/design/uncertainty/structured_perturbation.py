@@ -114,13 +114,13 @@ def closed_by_errors(structured: StructuredLoop, errors: Sequence[StateSpace]) -
     # p = C_e x_e + D_e q, q = C_q x + D_qw w + D_qp p.
     at_once = np.linalg.inv(inside)
     rows = slice(None, -k) if structured.performance else slice(None)
-    p_x, p_e = at_once @ E.Dw @ out, at_once @ E.C
+    p_x, p_e = at_once @ E.D @ out, at_once @ E.C
     w_in = M.Dw[-k:, rows]
-    p_w = at_once @ E.Dw @ w_in
+    p_w = at_once @ E.D @ w_in
     q_x, q_e, q_w = out + M.Dw[-k:, -k:] @ p_x, M.Dw[-k:, -k:] @ p_e, w_in + M.Dw[-k:, -k:] @ p_w
-    A = np.block([[M.A + into @ p_x, into @ p_e], [E.Bw @ q_x, E.A + E.Bw @ q_e]])
+    A = np.block([[M.A + into @ p_x, into @ p_e], [E.B @ q_x, E.A + E.B @ q_e]])
     C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
-    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.Bw @ q_w])
+    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
     Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
     return Plant.without_inputs(A, Bw, C, Dw)
 
