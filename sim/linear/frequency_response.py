@@ -15,7 +15,7 @@ A force in a suspension that is F exp(j omega t), held over a step at its midpoi
 Responses to such forces follow those to the wheels' roads, per newton.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +25,6 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.roads.spectrum import as_met
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import Elements
 from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, driven, loop_of, named
 from synth.plant.loop import Loop, frequency_response, stepwise_response
@@ -52,7 +51,7 @@ def sampled_frequency_response(
     omega: Array,
     timestep: float,
     exponential: Callable[[Array], Array] = linalg.expm,
-    pulls: Elements | None = None,
+    pulls: Sequence[str] = (),
 ) -> Array:
     """Returns the same for the sampled loop as it is implemented (held, delayed, lagged), complex, shape (F, p, r).
 
@@ -61,14 +60,14 @@ def sampled_frequency_response(
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: h [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
-        pulls: e forces, responses to which follow, per newton, shape (F, p, r + e).
+        pulls: e deflections along which forces pull, responses to which follow, per newton, shape (F, p, r + e).
     """
     loop, drive = driven_loop(vehicle, controller, omega, timestep, exponential, pulls)
     return frequency_response(loop, vehicle.linear_model.outputs, drive, np.asarray(omega, dtype=float))
 
 
 def stepwise_frequency_response(
-    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Elements | None = None
+    vehicle: Vehicle, controller: Controller, omega: Array, timestep: float, pulls: Sequence[str] = ()
 ) -> tuple[Array, Array]:
     """Returns the response from each wheel's road velocity to the outputs at every timestep of a controller period, and jumps.
 
@@ -91,20 +90,20 @@ def driven_loop(
     omega: Array,
     timestep: float,
     exponential: Callable[[Array], Array] = linalg.expm,
-    pulls: Elements | None = None,
+    pulls: Sequence[str] = (),
 ) -> tuple[Loop, dict[str, Array]]:
     """Returns the sampled loop, and its inputs under roads of velocity exp(j omega t) and under pulls, by name, (F, r + e) each.
 
     Arguments as for `sampled_frequency_response`.
     """
     loop, model, h = loop_of(vehicle, controller, timestep, exponential), vehicle.linear_model, timestep
-    s, roads, count = 1j * np.asarray(omega, dtype=float)[:, None], model.disturbances, 0
-    if pulls is not None:
-        count = pulls.outputs.shape[1]
-        forces, plant, n = tuple(f"{PULL}{i}" for i in range(count)), loop.plant, len(pulls.push)
+    s, roads, count = 1j * np.asarray(omega, dtype=float)[:, None], model.disturbances, len(pulls)
+    if pulls:
+        of_rates, of_outputs = vehicle.force_effects(pulls)
+        forces, plant, n = tuple(f"{PULL}{i}" for i in range(count)), loop.plant, len(of_rates)
         push, shown = np.zeros((len(plant.A), count)), np.zeros((len(plant.outputs), count))
         rows = [model.outputs.index(name) for name in controller.measured]
-        push[:n], shown[: len(model.outputs)], shown[plant.rows(loop.measured)] = pulls.push, pulls.outputs, pulls.outputs[rows]
+        push[:n], shown[: len(model.outputs)], shown[plant.rows(loop.measured)] = of_rates, of_outputs, of_outputs[rows]
         plant = plant.with_inputs(named(forces, MIDWAY), push, np.zeros_like(shown))
         loop = replace(loop, plant=plant.with_inputs(forces, np.zeros_like(push), shown))
     turn, each = np.exp(s * h), np.eye(len(roads) + count)

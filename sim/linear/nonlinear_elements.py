@@ -4,14 +4,7 @@ At rest: ideal force actuators replace adjustable dampers. A curve that is strai
 its line alone. A line replaces a curve that bends at rest, by a kink or by friction: no road is small enough for that one.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from models.characteristics.curve import ForceCurve
 
 
 def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
@@ -33,18 +26,3 @@ def at_rest_words(vehicle: Vehicle) -> str:
         whose = " and ".join(name.replace("_", " ") for name in bent)
         phrases.append(f"straight lines instead of the curves of {whose}, which have a kink at equilibrium")
     return f"Here, MuJoCo has {' and '.join(phrases)}" if phrases else ""
-
-
-@dataclass(frozen=True, eq=False)
-class Elements:
-    """Curves, e of them, on a linear model of n states and p outputs.
-
-    Attributes:
-        curves: the curve of each element.
-        push: gain from the pulling forces to the rates of the states, shape (n, e).
-        outputs: gain from the forces to the outputs, shape (p, e).
-    """
-
-    curves: "tuple[ForceCurve, ...]"
-    push: Array
-    outputs: Array

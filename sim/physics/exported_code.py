@@ -92,5 +92,5 @@ class CodeDriver:
         if self._semi_active is not None and self._range is not None:
             requested, _ = self._semi_active.step(0, seen, None, state)
             return self._range.clip_coefficients(requested, closing)
-        forces = seen @ law.D.T + state @ law.C.T
+        forces = seen @ law.law.D.T + state @ law.law.C.T
         return forces if self._range is None else self._range.commands(np.concatenate([forces, closing], axis=1))

@@ -40,7 +40,7 @@ class EquivalentLine:
         vehicle: vehicle without curves.
         curves: the curves, e of them; a position-dependent damper is its mean over all deflections.
         signals: names of the signals on which they depend.
-        push, outputs: gains from their pulling forces to the rates of the states and to the outputs, shapes (n, e) and (p, e).
+        deflections: names of the deflections along which their forces pull.
         slopes: slopes of their lines at the wheel, shape (e,).
         mean: means of all output signals, by name [the signal's unit].
         rounds: number of iterations.
@@ -49,8 +49,7 @@ class EquivalentLine:
     vehicle: Vehicle
     curves: tuple[ForceCurve, ...]
     signals: tuple[str, ...]
-    push: Array
-    outputs: Array
+    deflections: tuple[str, ...]
     slopes: Array
     mean: Mapping[str, float]
     rounds: int
@@ -71,7 +70,7 @@ def equivalent_line(
     placed = [one for one in vehicle.parts.with_curve if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
-    push, shown = vehicle.force_effects([one.deflection for one in placed])
+    deflections = tuple(one.deflection for one in placed)
     slopes, means, outputs = np.array([one.slope for one in curves]), np.zeros(len(curves)), dict[str, float]()
     by_name = {one.name: one for one in placed}
     for rounds in range(1, MOST_ROUNDS + 1):
@@ -92,12 +91,12 @@ def equivalent_line(
             curves = [one.curve if one.surface is None else one.surface.mean(*at[one.deflection]) for one in placed]
         moments = [averages(one, m, s) for one, m, s in zip(curves, means, spread, strict=True)]
         of_line = np.array([shared[name] for name in names])
-        outputs = mean_outputs(linear, controller, push, np.array([force for force, _ in moments]) - of_line * means)
+        outputs = mean_outputs(linear, controller, deflections, np.array([force for force, _ in moments]) - of_line * means)
         new_slopes, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
         if np.all(np.abs(new_slopes - slopes) <= CONSISTENT * np.abs(new_slopes).max()) and np.all(
             np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + spread)
         ):
-            return EquivalentLine(linear, tuple(curves), tuple(signals), push, shown, of_line, outputs, rounds)
+            return EquivalentLine(linear, tuple(curves), tuple(signals), deflections, of_line, outputs, rounds)
         step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
         slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None
@@ -117,15 +116,16 @@ def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, f
     return force, slope
 
 
-def mean_outputs(vehicle: Vehicle, controller: Controller, push: Array, forces: Array) -> dict[str, float]:
+def mean_outputs(vehicle: Vehicle, controller: Controller, deflections: Sequence[str], forces: Array) -> dict[str, float]:
     """Returns the means of all output signals of a linear vehicle under the mean forces of its curves, by name.
 
     Args:
-        push: effect of forces that pull on the rates of the vehicle's states, shape (n, e).
+        deflections: names of the deflections along which the forces pull, e of them.
         forces: mean forces [N], shape (e,).
     """
     outputs = vehicle.linear_model.outputs
     closed = loop_of(vehicle, controller).closed_loop.part(outputs, ())
+    push, _ = vehicle.force_effects(deflections)
     rates = np.zeros(len(closed.A))
     rates[: len(push)] = push @ forces
     means = -closed.C @ np.linalg.lstsq(closed.A, rates)[0]

@@ -142,38 +142,29 @@ class Loop:
         those that are computed at a sample. Disturbances then are held over the period, and outputs are those just behind the
         sample.
         """
-        plant, law, m, p = self.plant, self.acting_law, len(self.forces), self.stored_forces
-        inputs = (*self.forces, *self.disturbances)
-        names, columns, measured = (
-            (*plant.outputs, *self.law_states, *self.requested),
-            plant.columns(inputs),
-            plant.rows(self.measured),
-        )
+        plant = self.plant.part(self.plant.outputs, (*self.forces, *self.disturbances))
+        law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
         n, k = len(plant.A), law.states
-        N, later = n + k + p * m, n + k + (p - 1) * m
-        everything = np.eye(N + len(inputs))  # rows: states, forces, disturbances
-        x, kept, u, d = everything[:n], everything[n : n + k], everything[N : N + m], everything[N + m :]
-        forces = [
-            u,
-            *(everything[n + k + i * m : n + k + (i + 1) * m] for i in range(p)),
-        ]  # by age [samples]
-
-        acting = forces[self.hold[0].late] if self.hold else u
-        outputs = plant.C @ x + plant.D[:, columns] @ np.vstack([acting, d])
-        before = u if not self.hold else forces[self.hold[-1].late + 1] if p > self.hold[-1].late else 0 * u
-        readings = plant.C[measured] @ x + plant.D[np.ix_(measured, columns)] @ np.vstack([before, d])
-        requested, moved = law.D @ readings + law.C @ kept, law.B @ readings + law.A @ kept
+        N = n + k + p * m
+        # Rows select from [x; x_c; previous forces; u; d]; all that follows is a gain from these.
+        x, x_c, previous, u, d = np.split(np.eye(N + len(plant.inputs)), [n, n + k, N, N + m])
+        forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # by age [samples]
+        acting = before = u
         if self.hold:
-            for part in self.hold:
-                Phi, Gamma = self.held(part.duration)
-                x = Phi @ x + Gamma @ np.vstack([forces[part.late], d])
-            states = np.vstack([x, moved, *([u, everything[n + k : later]] if p else [])])
-        else:
-            states = np.vstack([plant.A @ x + plant.B[:, columns] @ np.vstack([u, d]), moved])
-        outputs = np.vstack([outputs, kept, requested])
-        return StateSpace(
-            *(states[:, :N], states[:, N:], outputs[:, :N], outputs[:, N:]), inputs, names, self.period if self.hold else None
-        )
+            acting, last = forces[self.hold[0].late], self.hold[-1].late + 1
+            before = forces[last] if p >= last else 0 * u  # the force that acts until the sample, where a reading contains it
+        y = plant.C @ x + plant.D @ np.vstack([acting, d])
+        readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
+        outputs = np.vstack([y, x_c, law.D @ readings + law.C @ x_c])
+        for part in self.hold:
+            Phi, Gamma = self.held(part.duration)
+            x = Phi @ x + Gamma @ np.vstack([forces[part.late], d])
+        if not self.hold:
+            x = plant.A @ x + plant.B @ np.vstack([u, d])
+        states = np.vstack([x, law.B @ readings + law.A @ x_c, *forces[:p]])
+        A, B, C, D = states[:, :N], states[:, N:], outputs[:, :N], outputs[:, N:]
+        names = (*plant.outputs, *self.law_states, *self.requested)
+        return StateSpace(A, B, C, D, plant.inputs, names, self.period if self.hold else None)
 
     @cached_property
     def closed_loop(self) -> StateSpace:
@@ -206,38 +197,39 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
     *runs, T = next(iter(inputs.values())).shape
     P, n, m, columns = len(lates), len(loop.plant.A), len(loop.forces), np.array(system.columns(names), dtype=int)
-    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m
+    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m  # True for a disturbance
     d = np.zeros((*runs, K * P, len(names)))
     for i, values in enumerate(inputs.values()):
         d[..., :T, i] = values
     d = d.reshape(*runs, K, P, len(names))
-    first, held = d[..., 0, :], d[..., outside]
-    push = first @ system.B[:, columns].T
-    Phi, Gamma = (system.A, system.B) if P == 1 else loop.held(loop.step or 0.0)
-    if P > 1:  # disturbances that change within the period
-        change, more = (held - held[..., :1, :]) @ Gamma[:, columns[outside]].T, 0.0
-        for i in range(1, P):
-            more = more @ Phi.T + change[..., i, :] if i > 1 else change[..., i, :]
+    at_sample, by_step = d[..., 0, :], d[..., outside]
+    push = at_sample @ system.B[:, columns].T
+    if P > 1:  # what disturbances do as they change within the period
+        Phi, Gamma = loop.held(loop.step or 0.0)
+        change = (by_step - by_step[..., :1, :]) @ Gamma[:, columns[outside]].T
+        more = change[..., 1, :]
+        for i in range(2, P):
+            more = more @ Phi.T + change[..., i, :]
         push[..., :n] += more
     states = recursion(system.A, push)
 
     def at_samples(rows: list[int]) -> Array:
-        return states @ system.C[rows].T + first @ system.D[rows][:, columns].T
+        return states @ system.C[rows].T + at_sample @ system.D[rows][:, columns].T
 
     if P == 1:
         return at_samples(rows)
     computed = at_samples(system.rows(loop.requested))
-    for force in np.flatnonzero(~outside):
-        computed[..., columns[force]] += first[..., force]
-    acting = np.concatenate([np.stack([_delayed(computed, late) for late in lates], axis=-2), held], axis=-1)
-    acts = [*range(m), *columns[outside]]
-    moved, x = acting @ Gamma[:, acts].T, np.empty((*runs, K, P, n))
+    for i in np.flatnonzero(~outside):
+        computed[..., columns[i]] += at_sample[..., i]
+    forces = np.stack([_delayed(computed, late) for late in lates], axis=-2)
+    inputs_by_step, acting = np.concatenate([forces, by_step], axis=-1), [*range(m), *columns[outside]]
+    push, x = inputs_by_step @ Gamma[:, acting].T, np.empty((*runs, K, P, n))
     x[..., 0, :] = states[..., :n]
     for i in range(1, P):
-        x[..., i, :] = x[..., i - 1, :] @ Phi.T + moved[..., i - 1, :]
+        x[..., i, :] = x[..., i - 1, :] @ Phi.T + push[..., i - 1, :]
     plant = loop.plant.part(loop.plant.outputs, (*loop.forces, *loop.disturbances))
-    at_steps = [row if row < len(plant.outputs) else 0 for row in rows]
-    y = x @ plant.C[at_steps].T + acting @ plant.D[np.ix_(at_steps, acts)].T
+    of_plant = [row if row < len(plant.outputs) else 0 for row in rows]
+    y = x @ plant.C[of_plant].T + inputs_by_step @ plant.D[of_plant][:, acting].T
     if others := [i for i, row in enumerate(rows) if row >= len(plant.outputs)]:
         y[..., others] = at_samples([rows[i] for i in others])[..., None, :]
     return y.reshape(*runs, K * P, len(rows))[..., :T, :]

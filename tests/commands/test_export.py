@@ -154,8 +154,8 @@ def test_whole_numbers_take_any_law(numbers, tmp_path):
         given = stepped(code, seen.tolist())
         assert python(seen.tolist()) == given
         top = law.fixed.largest * law.fixed.seen
-        ideal = float(np.clip(law.D[0] @ np.clip(y, -top, top), -500, 500))
-        rounded = np.abs(law.D[0]) @ law.fixed.seen / 2 + law.fixed.given[0]  # of readings, then of the force and its limit
+        ideal = float(np.clip(law.law.D[0] @ np.clip(y, -top, top), -500, 500))
+        rounded = np.abs(law.law.D[0]) @ law.fixed.seen / 2 + law.fixed.given[0]  # of readings, then of the force and its limit
         assert abs(given[0] * law.fixed.given[0] - ideal) <= rounded + 1e-4 * abs(ideal)  # 1e-4: coefficients of 15 bits
         assert abs(given[0] * law.fixed.given[0]) <= 500
 

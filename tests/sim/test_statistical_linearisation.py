@@ -10,13 +10,11 @@ import pytest
 from scipy import integrate, special, stats
 
 import sim.command.comparison
-from models.kinds.at_wheels import force_effects
 from models.roads.iso8608 import Iso8608
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
-from sim.linear.nonlinear_elements import Elements
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
@@ -86,15 +84,15 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
     shaped = with_curves(kind, **dict.fromkeys(parameters, curve))
     shaped = dataclasses.replace(shaped, implementation=implementation, limits=limits)
     places = [one.deflection for one in shaped.parts.with_curve]
-    controller, pulls = design(shaped, name), Elements((), *force_effects(shaped.kind, shaped.parameters, places))
+    controller = design(shaped, name)
     index = [shaped.linear_model.outputs.index(one.argument) for one in shaped.parts.with_curve]
 
-    def of(extra, forces=None):
+    def of(extra, forces=()):
         softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}
         line = dataclasses.replace(shaped.linearised, parameters=softer)
         return sampled_frequency_response(line, controller, omega, h, pulls=forces)
 
-    both, wheels, extra = of(0.0, pulls), len(shaped.kind.wheels), 300.0
+    both, wheels, extra = of(0.0, places), len(shaped.kind.wheels), 300.0
     by_road, by_force = both[..., :wheels], both[..., wheels:]
     fed_back = extra * np.linalg.solve(np.eye(len(index)) - extra * by_force[:, index], by_road[:, index])
     found, harder = by_road + by_force @ fed_back, of(extra)

@@ -217,7 +217,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
 
     def spectra(omega: Array) -> Array:
         """Returns, for every step of a period, spectra of all signals, weighted accelerations and the actuators' work."""
-        pulls = None if rest is None else rest.pulls
+        pulls = () if rest is None else rest.pulls
         at_steps, jumps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
         for name, tyre in damped.items():  # the deflection with the same force
             at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]

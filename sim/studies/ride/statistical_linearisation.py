@@ -46,7 +46,6 @@ from models.common.printed import percent
 from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
-from sim.linear.nonlinear_elements import Elements
 from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
@@ -74,7 +73,7 @@ class Remainder:
     """Remainders of e curves beyond their lines, as linear memory and noise.
 
     Attributes:
-        pulls: the curves as elements.
+        pulls: names of the deflections along which the forces pull, e of them.
         index: index of each curve's argument among the vehicle's outputs, shape (e,).
         omega: frequencies, ascending from 0 [rad/s], shape (F,).
         memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
@@ -83,7 +82,7 @@ class Remainder:
         share: largest share of a force's variance that is beyond its line.
     """
 
-    pulls: Elements
+    pulls: tuple[str, ...]
     index: Array
     omega: Array
     memory: Array
@@ -103,7 +102,7 @@ class Remainder:
             vehicle: linear vehicle with the lines of the curves, r wheels.
             omega: frequencies [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
-            at_steps: the `stepwise_frequency_response` of the loop with `pulls`.
+            at_steps: the `stepwise_frequency_response` of the loop under the road and forces of the curves.
 
         Returns:
             By source, the road's two and those of the noise, shape (F, r + e, 2 + e).
@@ -124,38 +123,36 @@ class Remainder:
 
 
 def remainder(
-    vehicle: Vehicle,
+    line: EquivalentLine,
     controller: Controller,
     road: Spectrum,
     timestep: float,
     fastest: float,
-    pulls: Elements,
     index: Array,
     means: Array,
-    lines: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
     """Returns the self-consistent remainders of curves over a road, or None if the iteration does not converge.
 
     Args:
-        vehicle: linear vehicle with the lines of e curves.
+        line: lines of e curves.
         timestep: timestep of the sampled loop [s].
         fastest: rate of the fastest oscillation of the loop [rad/s].
         index: index of each curve's argument among the vehicle's outputs, shape (e,).
         means: initial means of the arguments, shape (e,).
-        lines: slopes of the lines, shape (e,).
         resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
     """
+    vehicle, lines = line.vehicle, line.slopes
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
     omega = highest / COUNT * np.arange(COUNT + 1)
     omega[0] = 1e-3 * omega[1]
     between, dt = omega[1] / (2 * np.pi), np.pi / highest
     wheels = len(vehicle.kind.wheels)
-    responses = sampled_frequency_response(vehicle, controller, omega, timestep, pulls=pulls)[:, index]
+    responses = sampled_frequency_response(vehicle, controller, omega, timestep, pulls=line.deflections)[:, index]
     to_force = responses[..., wheels:]
     inputs = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
     of_road = math.sqrt(road.density) * responses[..., :wheels] @ inputs
-    identity, memory, noise = np.eye(len(pulls.curves)), np.zeros_like(to_force), np.zeros_like(to_force)
+    identity, memory, noise = np.eye(len(line.curves)), np.zeros_like(to_force), np.zeros_like(to_force)
     for rounds in range(1, MEMORY_ROUNDS + 1):
         closed = np.linalg.inv(identity - to_force @ memory)
         by_road, by_force = closed @ of_road, closed @ to_force
@@ -167,8 +164,8 @@ def remainder(
         rho = covariance / np.outer(deviations, deviations)
         back = np.fft.irfft(by_force, axis=0) / dt
         answer = np.concatenate([back[:1], back[1:COUNT] + back[:COUNT:-1], np.zeros_like(back[COUNT:])])
-        moments = [averages(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)]
-        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(pulls.curves, means, deviations, strict=True)])
+        moments = [averages(one, m, s) for one, m, s in zip(line.curves, means, deviations, strict=True)]
+        hermite = np.array([coefficients(one, m, s) for one, m, s in zip(line.curves, means, deviations, strict=True)])
         force, slopes, of_noise = _second_order(rho, answer * dt, hermite, deviations)
         beyond = force + [mean for mean, _ in moments] - lines * means
         shifted = resting(beyond)
@@ -178,9 +175,9 @@ def remainder(
         settled = (np.abs(transfer - memory) <= MEMORY_CONSISTENT * np.abs(lines).max()).all()
         settled &= (np.abs(new_noise - noise) <= MEMORY_CONSISTENT * np.abs(new_noise).max()).all()
         if settled and np.all(still):
-            each = zip(pulls.curves, means, deviations, moments, strict=True)
+            each = zip(line.curves, means, deviations, moments, strict=True)
             share = max(_share_beyond(curve, m, s, slope) for curve, m, s, (_, slope) in each)
-            return Remainder(pulls, index, omega, transfer, new_noise, beyond, share)
+            return Remainder(line.deflections, index, omega, transfer, new_noise, beyond, share)
         step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
         memory, noise, means = (
             memory + step * (transfer - memory),
@@ -269,19 +266,18 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 def _with_remainder(line: EquivalentLine, controller: Controller, road: Spectrum, timestep: float) -> Equivalent:
     """Adds the remainders of the curves of a vehicle, if their iteration converges."""
-    pulls = Elements(line.curves, line.push, line.outputs)
     poles = np.linalg.eigvals(loop_of(line.vehicle, controller).closed_loop.A)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
 
     def resting(forces: Array) -> Array:
-        outputs = mean_outputs(line.vehicle, controller, pulls.push, forces)
+        outputs = mean_outputs(line.vehicle, controller, line.deflections, forces)
         return np.array([outputs[signal] for signal in line.signals])
 
     index, means = np.array([line.vehicle.linear_model.outputs.index(signal) for signal in line.signals]), line.mean
     began = np.array([means[signal] for signal in line.signals])
-    beyond = remainder(line.vehicle, controller, road, timestep, fastest, pulls, index, began, line.slopes, resting)
+    beyond = remainder(line, controller, road, timestep, fastest, index, began, resting)
     if beyond is not None:
-        means = mean_outputs(line.vehicle, controller, pulls.push, beyond.mean_force)
+        means = mean_outputs(line.vehicle, controller, line.deflections, beyond.mean_force)
     return Equivalent(line.vehicle, {name: value for name, value in means.items() if value}, line.rounds, beyond)
 
 

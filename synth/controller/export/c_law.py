@@ -17,6 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.laws.anti_windup import anti_windup_gain
+from models.laws.linear import LinearLaw, static_law
 from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import Vehicle
@@ -48,7 +49,7 @@ class ExportedLaw:
         meanings: a line on each input.
         outputs: names of the m forces, or of the dampers' coefficients.
         output_units: units of the outputs.
-        A, B, C, D: matrices of a sampled linear law with k states; D alone has rows without states.
+        law: the sampled linear law with k states; zero for a semi-active law.
         resolution: step of each reading, shape (q,); 0 for one that is not quantised.
         limit: largest force [N], or None.
         delay: samples from a reading to its output.
@@ -70,10 +71,7 @@ class ExportedLaw:
     meanings: tuple[str, ...]
     outputs: tuple[str, ...]
     output_units: tuple[str, ...]
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+    law: LinearLaw
     resolution: Array
     limit: float | None
     delay: int
@@ -90,15 +88,14 @@ class ExportedLaw:
         """Its units and coefficients in fixed point, or None in floating point."""
         if self.ranges is None:
             return None
-        tables = self.A, self.B, self.C, self.D
-        return fixed_point(self.numbers, tables, self.anti_windup, self.limit, self.resolution, self.ranges)
+        return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.resolution, self.ranges)
 
     @cached_property
     def tables(self) -> dict[str, Array]:
         """Tables A, B, C, D and anti-windup L of the code; in fixed point they are integers."""
         if (of := self.fixed) is None:
             L = np.zeros((self.states, 0)) if self.anti_windup is None else self.anti_windup
-            return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "L": L}
+            return {name: getattr(self.law, name) for name in "ABCD"} | {"L": L}
         m, q, after = len(self.outputs), self.readings, self.readings + self.states
         L = of.rows[m:, after:] if self.anti_windup is not None else np.zeros((self.states, 0))
         return {"A": of.rows[m:, q:after], "B": of.rows[m:, :q], "C": of.rows[:m, q:after], "D": of.rows[:m, :q], "L": L}
@@ -111,7 +108,7 @@ class ExportedLaw:
     @property
     def states(self) -> int:
         """Number k of states of the law."""
-        return len(self.A)
+        return self.law.states
 
     @property
     def readings(self) -> int:
@@ -189,12 +186,11 @@ def exported_law(
         "range_sources": sources_of,
     }
     if isinstance(driver, SemiActive):
-        none = {"A": np.zeros((0, 0)), "B": np.zeros((0, q)), "C": np.zeros((m, 0)), "D": np.zeros((m, q)), "anti_windup": None}
-        of = numbers_of([driver.law], [vehicle])
-        return ExportedLaw(**common, **none, semi_active=driver.law.name, coefficients=of, modes=len(driver.law.modes))
+        common |= {"law": static_law(np.zeros((m, q))), "anti_windup": None, "coefficients": numbers_of([driver.law], [vehicle])}
+        return ExportedLaw(**common, semi_active=driver.law.name, modes=len(driver.law.modes))
     law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
     L = anti_windup_gain(law) if law.anti_windup is not None and k else None
-    made = ExportedLaw(**common, A=law.A, B=law.B, C=law.C, D=law.D, anti_windup=L)
+    made = ExportedLaw(**common, law=law, anti_windup=L)
     made.fixed  # noqa: B018 - what has no fixed point is said here
     return made
 

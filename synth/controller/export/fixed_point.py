@@ -15,6 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.laws.linear import LinearLaw
 
 BITS = {"int16": 16, "int32": 32}
 MOST_SHIFT = 62
@@ -68,13 +69,13 @@ def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
 
 
 def fixed_point(
-    numbers: str, law: tuple[Array, Array, Array, Array], L: Array | None, limit: float | None, resolution: Array, ranges: Array
+    numbers: str, law: LinearLaw, L: Array | None, limit: float | None, resolution: Array, ranges: Array
 ) -> FixedPoint:
     """Returns the units and coefficients of a law.
 
     Args:
         numbers: "int16" or "int32".
-        law: A, B, C, D.
+        law: q readings, m forces, k states.
         L: anti-windup, shape (k, m), or None.
         limit: largest force [N], or None.
         resolution: step of each reading, 0 for one that is not quantised, shape (q,).
@@ -83,7 +84,7 @@ def fixed_point(
     Raises:
         InputError: a state has no peak, or a unit leaves no digits.
     """
-    (A, B, C, D), largest = law, 2 ** (BITS[numbers] - 1) - 1
+    A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
     A_own, pushed = A, B * ranges
     if L is not None:  # where a force is given, clipped or not, this is the law

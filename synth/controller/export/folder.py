@@ -13,6 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.files import read_text
+from models.laws.linear import MATRICES
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.specification import SAMPLED_NORM
@@ -24,7 +25,6 @@ from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
-TABLES = ("A", "B", "C", "D", "anti_windup")
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
@@ -32,7 +32,7 @@ SAME = 1e-9  # relative: tables that another machine computes are as near
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
     """Returns what certificate.json holds: the law, its tables as they are run, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
-    tables = {name: getattr(law, name) for name in TABLES}
+    tables = {name: getattr(law.law, name) for name in MATRICES} | {"anti_windup": law.anti_windup}
     found: dict[str, Any] = {
         "name": law.name,
         "numbers": law.numbers,
@@ -260,7 +260,8 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
     except InputError:  # it cannot be exported so
         return False
     same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
-    tables = [(getattr(law, name), getattr(other, name)) for name in ("resolution", *TABLES)]
+    tables = [(getattr(law.law, name), getattr(other.law, name)) for name in MATRICES]
+    tables += [(law.resolution, other.resolution), (law.anti_windup, other.anti_windup)]
     return all(getattr(law, name) == getattr(other, name) for name in same) and all(_near(*both) for both in tables)
 
 
