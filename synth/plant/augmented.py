@@ -77,7 +77,8 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         return gain(above[0] / below[0] if len(above) else 0.0)
     from scipy.signal import tf2ss  # half a second
 
-    return Plant.without_inputs(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+    A, B, C, D = (np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below))
+    return Plant.without_inputs(A, B, C, D)
 
 
 def series(first: Plant, second: Plant) -> Plant:
@@ -101,7 +102,8 @@ def series(first: Plant, second: Plant) -> Plant:
 
 def append(*systems: Plant) -> Plant:
     """Returns systems in parallel: the inputs of all, and the outputs of all, in their order."""
-    return Plant.without_inputs(*(_diagonal([getattr(one, name) for one in systems]) for name in ("A", "Bw", "C", "Dw")))
+    A, Bw, C, Dw = (_diagonal([getattr(one, name) for one in systems]) for name in ("A", "Bw", "C", "Dw"))
+    return Plant.without_inputs(A, Bw, C, Dw)
 
 
 def with_weights(plant: Plant, outputs: Plant, disturbances: Plant, beside: Array | None = None) -> Plant:
