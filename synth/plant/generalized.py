@@ -247,6 +247,11 @@ class Plant:
         return larger.closed_loop(gain)
 
     @property
+    def transposed(self) -> "Plant":
+        """The transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged."""
+        return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
+
+    @property
     def system_matrix(self) -> Array:
         """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
         return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
