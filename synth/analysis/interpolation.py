@@ -34,7 +34,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at, limit_at_infinity
 from synth.analysis.rigorous import radius_of_solution
-from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
@@ -93,7 +93,7 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
         others.append(limit_at_infinity(plant))
-        turned = transposed(plant)
+        turned = plant.transposed
         others += [limit_at(turned, zero.imag) for zero in near[1] if zero.real == 0]
     return max(_limit(left, right), *others)
 
@@ -117,9 +117,9 @@ def _sides(
 ) -> "tuple[_Pencil, _Pencil]":
     """Returns the equations of the plant and of the transposed plant; the latter are empty without measurements."""
     if inequalities is None:
-        inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(transposed(plant)) if len(plant.Cy) else None
+        inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(plant.transposed) if len(plant.Cy) else None
     one, other = inequalities
-    return _Pencil.of(plant, one), _EMPTY if other is None else _Pencil.of(transposed(plant), other)
+    return _Pencil.of(plant, one), _EMPTY if other is None else _Pencil.of(plant.transposed, other)
 
 
 class _Pencil(NamedTuple):

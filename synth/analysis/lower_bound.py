@@ -33,7 +33,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product, root_below
-from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram, transposed
+from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertif
         ValueError: a dual certificate is not of the plant's shape.
     """
     one = SynthesisInequality.of(plant)
-    other = SynthesisInequality.of(transposed(plant)) if observer is not None else None
+    other = SynthesisInequality.of(plant.transposed) if observer is not None else None
     return prove_from_inequalities(one, other, state, observer)
 
 

@@ -139,11 +139,6 @@ class SynthesisInequality:
         return floats(self.U, one), floats(self.Q, two), floats(self.b, two), floats(self.c, one)
 
 
-def transposed(plant: Plant) -> Plant:
-    """Returns the transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged."""
-    return Plant(plant.A.T, plant.Cy.T, plant.C.T, plant.Bw.T, plant.Dyw.T, plant.Dw.T, dt=plant.dt)
-
-
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
     """Returns J_other J_one', each J the identity in its coordinates, as integers, shape (a_other, a_one), and a denominator."""
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))

@@ -19,7 +19,7 @@ from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
 from synth.analysis.lower_bound import DualCertificate, LowerBound, Meeting, prove_from_inequalities
 from synth.analysis.rigorous import floats
-from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import Plant
@@ -70,7 +70,7 @@ def find_lower_bound(
     if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
         plant = plant.measured(Cy, Dyw)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
-    dual = transposed(plant) if measured else None
+    dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
     other = observer if observer is not None and len(observer.J) else None  # else y and its derivatives give all states
     if dual is not None:

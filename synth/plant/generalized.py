@@ -71,6 +71,8 @@ class Plant:
             entries beyond `SMALLEST` or `LARGEST`; or dt or weights is no such number. The message names it.
     """
 
+    given_as = "a GeneralizedPlant"
+
     A: Array
     B: Array
     Bw: Array
@@ -114,7 +116,8 @@ class Plant:
         q = 0 if self.Cy is None else len(real_matrix(self.Cy, "Cy", f"(q, {size['n']})"))
         for name, of, what in (("Cy", "n", "state"), ("Dyu", "m", "input"), ("Dyw", "r", "disturbance")):
             shape, value = (q, size[of]), getattr(self, name)
-            none = value is None or not (np.size(value) or (q and name == "Cy"))  # `replace` may have changed the shapes
+            # `replace` may have changed the shapes of others.
+            none = value is None or (isinstance(value, np.ndarray) and value.ndim == 2 and not len(value))
             matrix = np.zeros(shape) if none else real_matrix(value, name, str(shape))
             if matrix.shape != shape:
                 raise InputError(
@@ -242,6 +245,11 @@ class Plant:
         """Returns the closed loop of a law on y, see `with_law` and `closed_loop`."""
         larger, gain = self.with_law(law)
         return larger.closed_loop(gain)
+
+    @property
+    def transposed(self) -> "Plant":
+        """The transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged."""
+        return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
 
     @property
     def system_matrix(self) -> Array:

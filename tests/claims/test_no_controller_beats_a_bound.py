@@ -12,7 +12,7 @@ from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import Nullspace, identity, integers, product
-from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
@@ -263,7 +263,7 @@ def test_no_witness_proves_what_is_not_true(seeds):
         rng = np.random.default_rng(seed)
         try:
             path = state_feedback(plant, 1e-8)
-            _, other = find_lower_bound(plant, Cy), SynthesisInequality.of(transposed(plant.measured(Cy)))
+            _, other = find_lower_bound(plant, Cy), SynthesisInequality.of(plant.measured(Cy).transposed)
         except DesignError:
             continue
         best = min(hinf_norm(plant.closed_loop(point.K)).value for point in path)

@@ -243,16 +243,16 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
         DesignError: a Riccati equation has no solution.
     """
     plant = own.plant
-    A, B, C, D = plant.A, plant.B, plant.C, plant.D
     assumed = ["a cost of every force"] if len(cost) else []
-    K = _regulator(A, B, C, D, cost, "z does not contain a mode that neither decays nor grows; weight a signal that contains it")
+    K = _regulator(plant, cost, "z does not contain a mode that neither decays nor grows; weight a signal that contains it")
     if all_known:
         return own.back(static_law(K @ np.linalg.inv(plant.Cy))), assumed
     unreached = "w does not disturb a mode that neither decays nor grows; add a disturbance of this mode"
     known = _known(plant)
-    rest, states = np.delete(np.arange(len(plant.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
-    A, B, Cy = A[np.ix_(states, states)], B[states], plant.Cy[np.ix_(rest, states)]
-    L = _regulator(A.T, Cy.T, plant.Bw[states].T, plant.Dyw[rest].T, unheard, unreached).T
+    rest, states = np.delete(np.arange(len(plant.Cy)), list(known)), np.delete(np.arange(len(plant.A)), list(known.values()))
+    A, B, Cy = plant.A[np.ix_(states, states)], plant.B[states], plant.Cy[np.ix_(rest, states)]
+    part = plant.unchecked(A=A, B=B, Bw=plant.Bw[states], C=plant.C[:, states], Cy=Cy, Dyu=plant.Dyu[rest], Dyw=plant.Dyw[rest])
+    L = _regulator(part.transposed, unheard, unreached).T
     assumed += ["noise on every measurement"] if len(unheard) else []
     into, direct = np.zeros((len(A), len(plant.Cy))), np.zeros((len(K), len(plant.Cy)))
     into[:, rest] = -L
@@ -284,8 +284,9 @@ def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
         return linalg.solve_continuous_are(A, B, Q, R, s=S, balanced=False)
 
 
-def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
+def _regulator(plant: Plant, more: Array, advice: str) -> Array:
     """Returns K of the u = K x that minimises the mean square of C x + D u and `more` u, shape (m, n)."""
+    A, B, C, D = plant.A, plant.B, plant.C, plant.D
     if not B.shape[1]:  # no force does anything
         return np.zeros((0, len(A)))
     turned, sizes, directions = np.linalg.svd(np.vstack([D, more]), full_matrices=False)

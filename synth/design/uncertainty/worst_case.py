@@ -15,7 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from models.common.arrays import Array
-from models.common.checks import Positive
+from models.common.checks import Matrix, Positive, check, check_shape
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of
@@ -414,6 +414,9 @@ def worst_norm(
         >>> f"{worst.found:.4f} is met, at most {worst.proved:.4f}"
         '0.3099 is met, at most 0.3099'
     """
+    if through is not None:
+        shape = len(plant.Cy if Cy is None else Cy), plant.B.shape[1]
+        check_shape("through", check("through", through, Matrix), shape, "signals, inputs")
     gain = scaled_gain(plant.measured(Cy, Dyw, through), K)
     return worst_in(gain, box_of(gain, d, e), enough)
 
