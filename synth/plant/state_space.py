@@ -112,7 +112,8 @@ class StateSpace:
 
     def response(self, at: Array) -> Array:
         """Returns C (s - A)^-1 B + D at s, or at z of a system in discrete time, shape (F,); complex, shape (F, p, k)."""
-        return self.driven(at, np.broadcast_to(np.eye(len(self.inputs)), (len(at), len(self.inputs), len(self.inputs))))
+        k = self.D.shape[1]
+        return self.driven(at, np.broadcast_to(np.eye(k), (len(at), k, k)))
 
     def driven(self, at: Array, amplitudes: Array) -> Array:
         """Returns the outputs under inputs that are multiples of exp(s t), or of z^k, complex, shape (F, p, c).
