@@ -22,7 +22,7 @@ from sim.response.response import Response
 from sim.runs.report import FEW, describe_run, shared
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
-from synth.controller.law_margins import law_margins, unstable_by_itself, warnings
+from synth.controller.law_margins import direct_feedback, law_margins, unstable_by_itself, warnings
 from synth.controller.loop_of import loop_of
 from synth.controller.report import study_notes
 
@@ -234,7 +234,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
         linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
         margins = {name: law_margins(*one) for name, one in linear.items()}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
-        lines = [*text_lines(Document("", (*notes(*warnings(margins)), *statements(studied)))), *lines]
+        lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
 
 

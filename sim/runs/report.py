@@ -320,7 +320,9 @@ def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
-        yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step"
+        own = isinstance(run.controller, Controller) and law_margins(vehicle, run.controller).own_force
+        how = ", by direct feedback of its own force" if own else ""
+        yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
     elif radius == 1:
         yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
     if run.physics.ran_away:
@@ -455,7 +457,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     """
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
     margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
-    warning = (margins.instability or margins.small) if margins is not None else ""
+    warning = (margins.instability or margins.own_force or margins.small) if margins is not None else ""
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]

@@ -19,7 +19,7 @@ from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
 from synth.command.table import Row, answers, describe, details, proofs, row_object, undamped
-from synth.controller.law_margins import law_margins, warnings
+from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
 from synth.controller.report import notes as notes_on
@@ -266,7 +266,8 @@ def document(designs: Designs, options: Namespace) -> Document:
     vehicle, rows = designs.vehicle, designs.rows
     asked = bool(options.given & ASKED)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
-    blocks: list[Block] = [*_worse(designs), *(details(vehicle, row) for row in rows)]
+    felt = notes(*direct_feedback(margins), detail="brief")
+    blocks: list[Block] = [*_worse(designs), *felt, *(details(vehicle, row) for row in rows)]
     if not options.verbose:
         gains = not asked or len(rows) == 1
         blocks += answers(rows, gains, checked=bool(options.check))

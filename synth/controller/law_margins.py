@@ -1,4 +1,4 @@
-"""Warnings about a law: unstable by itself, windup, and small stability margins of its ideal loop.
+"""Warnings about a law: unstable by itself, windup, direct feedback, and small stability margins of its ideal loop.
 
 - A law is *unstable by itself* if its own states grow without measurements: a pole right of the imaginary axis, or outside the
   unit circle.
@@ -6,10 +6,14 @@
   has no anti-windup. Its states grow, but its clipped forces and their effect on the measurements are bounded, so that no later
   measurement brings the states back. An integrator has a pole at 0 and does not count: its states grow no faster than the
   measurements.
+- *Direct feedback* is a force in its own measurements at once, as accelerations contain it: their share H of the force. The ideal
+  loop solves u = H u + ..., but once it is sampled, or late by any time, each computed force contains H times the one before, and
+  grows if the spectral radius of H is 1 or more.
 - The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and `[implementation]`,
   with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to 1, at which the loop
-  is unstable. A margin is small below `LEAST_GAIN`, or its inverse, or below `LEAST_DISK`. (Skogestad, Postlethwaite 2005,
-  section 2.4.3, require a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
+  is unstable, at most 1 / h for a positive eigenvalue h of H. A margin is small below `LEAST_GAIN`, or its inverse, or below
+  `LEAST_DISK`. (Skogestad, Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` measures the margins
+  of each actuator, too.
 """
 
 import math
@@ -42,10 +46,12 @@ class LawMargins:
 
     Attributes:
         growth: rate of the fastest growing state of the law by itself [1/s]; 0 if no state grows.
+        direct_feedback: spectral radius of H, with the actuators' lag; 0 if no measurement contains the force at once.
         winds_up: description of where the forces are clipped if the law winds up there; empty otherwise.
         gain: factor above 1 and up to `LEAST_GAIN` at which the loop is unstable, or infinity.
         gain_lower: factor below 1, down to the inverse, at which the loop is unstable, or 0.
-        disk: symmetric disk from 0 to 2; None if the ideal loop is unstable or no measurement makes a force.
+        disk: symmetric disk from 0 to 2; None if the ideal loop is unstable, no measurement makes a force, or the law is a
+            passive element with inertance.
     """
 
     growth: float
@@ -53,6 +59,17 @@ class LawMargins:
     gain: float
     gain_lower: float
     disk: float | None
+    direct_feedback: float = 0.0
+
+    @property
+    def own_force(self) -> str:
+        """The direct feedback of a law that cannot be sampled, in words; empty for other laws."""
+        if self.direct_feedback < 1:
+            return ""
+        return (
+            f"the measurements contain {self.direct_feedback:.4g} times the law's own force at once, which grows from sample to "
+            "sample"
+        )
 
     @property
     def instability(self) -> str:
@@ -87,6 +104,7 @@ class LawMargins:
             "gain_margin": self.gain if math.isfinite(self.gain) else None,
             "gain_margin_lower": self.gain_lower or None,
             "disk_margin": self.disk,
+            "direct_feedback": self.direct_feedback or None,
         }
 
 
@@ -94,16 +112,16 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
     """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop."""
     law = controller.law
     where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
-    gain, gain_lower, disk = math.inf, 0.0, None
+    gain, gain_lower, disk, direct = math.inf, 0.0, None, 0.0
     if law.acts and controller.certificate.stable:
         limits = replace(vehicle.limits, actuator_bandwidth=controller.hardware.bandwidth)
-        loop = loop_of(replace(vehicle, limits=limits), controller)
+        loop, direct = loop_of(replace(vehicle, limits=limits), controller), loop_of(vehicle, controller).direct_radius
         loop = loop.cut(loop.forces)
         if _growth(loop, np.ones(1))[0] < 0:  # rounding may decide on a marginal loop
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
-            disk = disk_margin(loop).size
-    return LawMargins(law.growth, where, gain, gain_lower, disk)
+            disk = None if direct and _is_element(vehicle, controller) else disk_margin(loop).size
+    return LawMargins(law.growth, where, gain, gain_lower, disk, direct)
 
 
 def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
@@ -123,6 +141,16 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
     return [*texts, *([below] if small else [])]
 
 
+def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
+    """Returns a warning about laws that cannot be sampled because of their direct feedback."""
+    times = [f"{as_name(name)} {one.direct_feedback:.4g} times" for name, one in margins.items() if one.own_force]
+    text = (
+        f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. Sampled or late, the force "
+        "grows from sample to sample; lower the gain on accelerations, or filter them."
+    )
+    return [text] if times else []
+
+
 def unstable_by_itself(driver: AnyController) -> bool:
     """Returns True if a driver is a linear controller whose law is unstable by itself."""
     return isinstance(driver, Controller) and driver.law.growth > 0
@@ -135,10 +163,38 @@ def _clipped(vehicle: Vehicle) -> str:
     return "at the limits of the semi-active dampers" if vehicle.dampers else ""
 
 
+def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
+    """Returns True if a law is a passive spring, damper and inerter between the ends of suspensions: none destabilises a car.
+
+    The law then is u = -(K d + C d' + M d'') with symmetric K and M, and none of the three takes energy from nowhere.
+    """
+    model, law, m = vehicle.linear_model, controller.law, len(vehicle.linear_model.inputs)
+    places = {one.force: one.deflection for one in vehicle.kind.suspensions}
+    deflections = [places.get(force, "") for force in model.inputs]
+    if law.states or not {*deflections} <= {*model.outputs}:
+        return False
+    (C, D), rows = model.rows(controller.measured), [model.outputs.index(name) for name in deflections]
+    speeds = model.C[rows] @ model.A
+    none = np.zeros((m, m + model.Bw.shape[1]))
+    motions = np.vstack(
+        [np.hstack([model.C[rows], none]), np.hstack([speeds, none]), speeds @ np.hstack([model.A, model.B, model.Bw])]
+    )
+    read = law.D @ np.hstack([C, D, model.Dw[[model.outputs.index(name) for name in controller.measured]]])
+    scale = np.abs(motions).max(axis=1, keepdims=True)
+    shares = np.linalg.lstsq((motions / scale).T, -read.T)[0].T
+    shares[np.abs(shares) <= EXACT * np.abs(read).max()] = 0.0
+    if np.abs(shares @ (motions / scale) + read).max() > EXACT * np.abs(read).max():
+        return False
+    parts = np.split(shares / scale.T, 3, axis=1)
+    takes = [np.linalg.eigvalsh(one + one.T).min() >= -EXACT * np.abs(one).max() for one in parts]
+    return all(takes) and all(np.abs(one - one.T).max() <= EXACT * np.abs(one).max() for one in parts[::2])
+
+
 def _growth(loop: StateSpace, factors: Array) -> Array:
-    """Returns the growth of the loops with these factors on all forces [1/s], infinite where no delay is allowed."""
-    growth = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1)
-    return np.where(loop.feedthrough_radius * factors >= 1, np.inf, growth)
+    """Returns the growth of the loops with these factors on all forces [1/s]; infinite from one on that no force solves."""
+    growth, direct = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1), np.linalg.eigvals(loop.D)
+    limit = direct.real[np.abs(direct.imag) <= EXACT * np.abs(direct)].max(initial=0.0)
+    return np.where(limit * factors >= 1, np.inf, growth)
 
 
 def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:

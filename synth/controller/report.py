@@ -239,6 +239,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
+    notes += [margins.own_force] if margins.own_force else []
     notes += [f"the ideal loop is close to instability ({margins.small}); see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:

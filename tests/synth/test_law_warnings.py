@@ -237,3 +237,38 @@ def test_a_vehicle_without_damping_is_no_failure(corner, capsys):
     assert synth(["--vehicle", car, "--controller", "passive", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert (row["stability"], row["failures"]) == ("marginal", [])
+
+
+FEELS = {  # measurements, gain [N s2/m], and factor from sample to sample, for 1 / m_s and -1 / m_u of the force in them
+    "body": ('["sprung_acceleration"]', "[[-600.0]]", 600 / 504.5),
+    "inerter80": ('["sprung_acceleration", "unsprung_acceleration"]', "[[-80.0, 80.0]]", 80 / 504.5 + 80 / 62),
+    "inerter30": ('["sprung_acceleration", "unsprung_acceleration"]', "[[-30.0, 30.0]]", 30 / 504.5 + 30 / 62),
+    "near": ('["sprung_acceleration"]', "[[480.0]]", 480 / 504.5),
+}
+
+
+@pytest.mark.parametrize("name", FEELS)
+def test_a_force_in_its_own_measurements(paper, tmp_path, capsys, name):
+    """From a factor of 1 on, synth warns, a run grows for this reason, and margins are refused, all with the factor.
+
+    Below 1 only a positive share of the force is close to instability. A passive inerter never is, ideally.
+    """
+    measured, gain, factor = FEELS[name]
+    path = tmp_path / "car.toml"
+    path.write_text(f"{paper.text}\n[controllers.{name}]\nmeasured = {measured}\ngain = {gain}\n")
+    options = ["--vehicle", str(path), "--controller", name]
+    vehicle = read_vehicle(path)
+    (controller,) = design_controllers(vehicle, [name])
+    assert law_margins(vehicle, controller).direct_feedback == pytest.approx(factor, rel=1e-12)
+    assert synth(options) == 0
+    out, times = prose(capsys.readouterr().out), f"{factor:.4g} times"
+    assert (f"WARNING: measurements contain the law's own force at once: {name} {times}" in out) == (factor >= 1)
+    assert ("Small stability margins" in out) == (not name.startswith("inerter"))
+    assert ("1.051 (0.432 dB)" in out) == (name == "near")
+    assert drive([*options, "--class", "C", "--duration", "0.2", "--no-logs"]) == (factor >= 1)
+    out = prose(capsys.readouterr().out)
+    assert (f"the measurements contain {times} the law's own force at once" in out) == (factor >= 1)
+    assert ("every step, by direct feedback of its own force" in out) == ("UNSTABLE loop" in out) == (factor >= 1)
+    if factor >= 1:
+        with refused(f"contain {times} its own force"):
+            main_of("sim.margins")(options)
