@@ -12,7 +12,7 @@ Over each part of the period a force acts that was computed some samples ago. Th
 
 with previous forces that still act, or that a reading contains.
 
-In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, so it is no state there.
+In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, and needs no state.
 """
 
 import math
@@ -58,7 +58,7 @@ class Loop:
 
     Attributes:
         plant: the plant, n states: in continuous time, or from step to step, if its inputs are held.
-        law: from the measured outputs to the forces, as designed; see `acting_law`.
+        law: law from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law sets.
         hold: parts of the sample period in order, each with the delay of its force; empty in continuous time.
