@@ -51,7 +51,7 @@ def loop_of(
     timestep: float | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> Loop:
-    """Returns the loop of a vehicle, with its actuators' lag and, sampled, as `[implementation]` has it.
+    """Returns the loop of a vehicle with its actuators' lag: in continuous time, or sampled as in `[implementation]`.
 
     Args:
         controller: linear controller; its preview is a known force.

@@ -12,12 +12,12 @@ Over each part of the period a force acts that was computed some samples ago. Th
 
 with previous forces that still act, or that a reading contains.
 
-In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, so it is no state there.
+In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, and needs no state.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,7 +58,7 @@ class Loop:
 
     Attributes:
         plant: the plant, n states: in continuous time, or from step to step, if its inputs are held.
-        law: from the measured outputs to the forces, as designed; see `acting_law`.
+        law: law from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
         forces: names of the m inputs that the law sets.
         hold: parts of the sample period in order, each with the delay of its force; empty in continuous time.
@@ -126,13 +126,27 @@ class Loop:
         """Number p of previous samples whose forces are among the states."""
         if not self.hold:
             return 0
-        measured = self.plant.part(self.measured, self.forces).D.any()
+        measured = self.plant.D[self.plant.rows(self.measured)][:, self.plant.columns(self.forces)].any()
         return max(self.hold[0].late, self.hold[-1].late + 1 if measured else 0)
+
+    @cached_property
+    def _forced_plant(self) -> StateSpace:
+        """The plant with the forces as its first inputs."""
+        inputs = (*self.forces, *self.disturbances)
+        return self.plant if inputs == self.plant.inputs else self.plant.part(self.plant.outputs, inputs)
+
+    @cached_property
+    def _held_plant(self) -> StateSpace:
+        """The same from step to step if disturbances are held over steps."""
+        plant = self._forced_plant
+        if self.step is None or plant.dt is not None:
+            return plant
+        Phi, Gamma = plant.held(self.step, self.exponential)
+        return replace(plant, A=Phi, B=Gamma, dt=self.step)
 
     def held(self, duration: float) -> tuple[Array, Array]:
         """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
-        steps = 1 if self.step is None else round(duration / self.step)
-        return self.plant.part((), (*self.forces, *self.disturbances)).held(duration, self.exponential, steps)
+        return self._held_plant.held(duration, self.exponential)
 
     @cached_property
     def open_loop(self) -> StateSpace:
@@ -142,7 +156,7 @@ class Loop:
         those that are computed at a sample. Disturbances then are held over the period, and outputs are those just behind the
         sample.
         """
-        plant = self.plant.part(self.plant.outputs, (*self.forces, *self.disturbances))
+        plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
         n, k = len(plant.A), law.states
         N = n + k + p * m
@@ -206,10 +220,9 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
     push = at_sample @ system.B[:, columns].T
     if P > 1:  # what disturbances do as they change within the period
         Phi, Gamma = loop.held(loop.step or 0.0)
-        change = (by_step - by_step[..., :1, :]) @ Gamma[:, columns[outside]].T
-        more = change[..., 1, :]
-        for i in range(2, P):
-            more = more @ Phi.T + change[..., i, :]
+        more, into = np.zeros_like(push[..., :n]), Gamma[:, columns[outside]].T
+        for i in range(1, P):
+            more = more @ Phi.T + (by_step[..., i, :] - by_step[..., 0, :]) @ into
         push[..., :n] += more
     states = recursion(system.A, push)
 
@@ -221,15 +234,17 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
     computed = at_samples(system.rows(loop.requested))
     for i in np.flatnonzero(~outside):
         computed[..., columns[i]] += at_sample[..., i]
-    forces = np.stack([_delayed(computed, late) for late in lates], axis=-2)
-    inputs_by_step, acting = np.concatenate([forces, by_step], axis=-1), [*range(m), *columns[outside]]
-    push, x = inputs_by_step @ Gamma[:, acting].T, np.empty((*runs, K, P, n))
-    x[..., 0, :] = states[..., :n]
-    for i in range(1, P):
-        x[..., i, :] = x[..., i - 1, :] @ Phi.T + push[..., i - 1, :]
-    plant = loop.plant.part(loop.plant.outputs, (*loop.forces, *loop.disturbances))
+    plant, acting = loop.plant, [*range(m), *columns[outside]]
+    steps = np.empty((*runs, K, P, n + len(acting)))  # [x; forces; disturbances] at every step
+    steps[..., 0, :n], steps[..., n + m :] = states[..., :n], by_step
+    into = np.hstack([Phi, Gamma[:, acting]]).T
+    for i, late in enumerate(lates):
+        steps[..., i, n : n + m] = _delayed(computed, late)
+        if i + 1 < P:
+            steps[..., i + 1, :n] = steps[..., i, :] @ into
     of_plant = [row if row < len(plant.outputs) else 0 for row in rows]
-    y = x @ plant.C[of_plant].T + inputs_by_step @ plant.D[of_plant][:, acting].T
+    seen = np.hstack([plant.C[of_plant], plant.D[of_plant][:, plant.columns([system.inputs[i] for i in acting])]])
+    y = (steps.reshape(-1, seen.shape[1]) @ seen.T).reshape(*runs, K, P, len(rows))
     if others := [i for i, row in enumerate(rows) if row >= len(plant.outputs)]:
         y[..., others] = at_samples([rows[i] for i in others])[..., None, :]
     return y.reshape(*runs, K * P, len(rows))[..., :T, :]

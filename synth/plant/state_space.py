@@ -96,18 +96,18 @@ class StateSpace:
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
-    def held(self, duration: float, exponential: Exponential = linalg.expm, steps: int = 1) -> tuple[Array, Array]:
+    def held(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
         """Returns Phi and Gamma of a duration [s] with held inputs: they take states and inputs to the states at its end.
 
         Args:
-            exponential: the matrix exponential, of each of so many equal steps; not used for a system in discrete time.
+            exponential: the matrix exponential; not used for a system in discrete time, which takes steps.
         """
         n, k = self.B.shape
         if self.dt is None:
-            step = exponential(np.vstack([np.hstack([self.A, self.B]), np.zeros((k, n + k))]) * (duration / steps))
+            whole = exponential(np.vstack([np.hstack([self.A, self.B]), np.zeros((k, n + k))]) * duration)
         else:
-            step, steps = np.vstack([np.hstack([self.A, self.B]), np.eye(k, n + k, n)]), round(duration / self.dt)
-        whole = np.linalg.matrix_power(step, steps)
+            step = np.vstack([np.hstack([self.A, self.B]), np.eye(k, n + k, n)])
+            whole = np.linalg.matrix_power(step, round(duration / self.dt))
         return whole[:n, :n], whole[:n, n:]
 
     def response(self, at: Array) -> Array:

@@ -53,8 +53,7 @@ ROOMS = {
     # sim: what a run is
     "sim": "",
     "sim.response": "models.document models.characteristics models.kinds models.parts models.vehicle",
-    "sim.linear": "models.laws models.characteristics models.kinds models.parts models.vehicle models.roads synth.plant "
-    "synth.controller sim.response",
+    "sim.linear": "models.laws models.kinds models.parts models.vehicle models.roads synth.plant synth.controller sim.response",
     "sim.physics": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.plant "
     "synth.controller sim.response",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "

@@ -20,7 +20,7 @@ HEAVY = {
 # Of each command: how many of our modules it may load, packages among them, and what of the above.
 # `sim.runs.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel with `rigid_body`.
 LOADED = {
-    "synth --json": (107, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
+    "synth --json": (108, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
     "sim.bump --controller I --duration 0.5 --logs DIR": (141, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
     "sim.bump --controller I --no-logs --json": (129, {"mujoco"}),
     "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (131, {"mujoco"}),
