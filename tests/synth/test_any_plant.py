@@ -4,6 +4,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -186,6 +187,22 @@ def test_what_is_missing_is_said(n, m, q, dt):
     plant = GeneralizedPlant(A, B, Bw, C, D, np.zeros((2, 1)), dt=dt)
     for call in every_function(plant, q, rng):
         asked(call)
+
+
+def test_a_plant_s_own_measurements():
+    """Matrices of measurements that the plant contains count as if they were given to each function."""
+    rng, (Cy, Dyw, K) = np.random.default_rng(2), (np.array([[0.0, 1.0]]), np.array([[0.0, 0.1]]), np.array([[-2.0]]))
+    plant = GeneralizedPlant(
+        [[0, 1], [-4, -0.1]], [[0], [1]], rng.standard_normal((2, 2)), [[1, 0], [0, 0]], [[0], [1]], 0 * np.eye(2)
+    )
+    own = replace(plant, Cy=Cy, Dyw=Dyw)
+    for call in (
+        lambda one, *y: synth.full_order_design(one, *y).law.A,
+        lambda one, *y: synth.h2_design(one, *y).law.A,
+        lambda one, *y: synth.worst_norm(one, y[0] if y else None, K, 0.1, 0.0, *y[1:]).found,
+        lambda one, *y: synth.find_lower_bound(one, *y[:1], **({"Dyw": y[1]} if y else {})).gamma,
+    ):
+        np.testing.assert_array_equal(call(plant, Cy, Dyw), call(own))
 
 
 def test_without_an_input_the_lower_bound_is_the_norm():

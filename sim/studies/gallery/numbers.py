@@ -105,8 +105,7 @@ def _white(designer: Designer, one: PrintedNumber) -> float:
     """Returns the rms of a signal of the passive car on a road whose velocity is white noise of intensity one."""
     model = designer.vehicle.linear_model
     row = model.C[[model.outputs.index(one.signal)]]
-    nothing, (r,) = np.zeros((1, 0)), model.Bw.shape[1:]
-    return h2_norm(Plant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r))))
+    return h2_norm(Plant.without_inputs(model.A, model.Bw, row, np.zeros((1, model.Bw.shape[1]))))
 
 
 def _pole(designer: Designer, one: PrintedNumber) -> float:

@@ -39,8 +39,7 @@ class StructuredLoop:
     def of_errors(self) -> "StructuredLoop":
         """The loop from p to q alone, which decides stability."""
         M, k = self.loop, self.errors
-        nothing = np.zeros((k, M.B.shape[1]))
-        return StructuredLoop(Plant(M.A, M.B, M.Bw[:, -k:], M.C[-k:], nothing, M.Dw[-k:, -k:]), k)
+        return StructuredLoop(Plant.without_inputs(M.A, M.Bw[:, -k:], M.C[-k:], M.Dw[-k:, -k:]), k)
 
     @property
     def performance(self) -> bool:
@@ -59,7 +58,7 @@ class StructuredLoop:
         Dw[-k:] *= scales[:, None]
         Bw[:, -k:] /= scales
         Dw[:, -k:] /= scales
-        return Plant(M.A, M.B, Bw, C, np.zeros((len(C), M.B.shape[1])), Dw)
+        return Plant.without_inputs(M.A, Bw, C, Dw)
 
     @cached_property
     def units(self) -> Array:
