@@ -81,6 +81,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 Entries = Mapping[str, Any]
+PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}  # types by the plane of motion, by `type` of a file
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,22 @@ class VehicleFile(Section):
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
     parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
+    plane: Annotated[str, Text("plane in which a half-car moves, below its type: pitch (default) or roll")] = ""
+
+    @property
+    def kind(self) -> str:
+        """The name of the vehicle type, also by the plane.
+
+        Raises:
+            InputError: the type has no such plane.
+        """
+        if not self.plane:
+            return self.type
+        planes = PLANES.get(self.type, {})
+        if self.plane not in planes:
+            most = f"give one of {listing(planes)}" if planes else f"only a {listing(PLANES)} has one; omit plane"
+            raise InputError(f"plane = {self.plane!r} is not allowed for the type {self.type!r}; {most}")
+        return planes[self.plane]
 
 
 SECTIONS = tuple(keys(VehicleFile))
@@ -594,7 +611,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         600.0
     """
     given = read("", VehicleFile, parse_toml(text))
-    vehicle_kind = kind(given.type, folder)
+    vehicle_kind = kind(given.kind, folder)
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, given.parameters, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
