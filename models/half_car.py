@@ -1,4 +1,4 @@
-"""Half-car in the pitch plane: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
+"""Half-car in the pitch plane: heave and pitch on two axles, a side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
 import numpy as np
 
@@ -18,10 +18,13 @@ PARAMETERS = (
 )
 
 
+ROLLS = 'need a body that rolls, but this half-car only heaves and pitches: use a full_car, or plane = "roll"'
+
+
 def _body(p: Parameters) -> RigidBody:
     pitch_arm, _ = links.arms(p)
     return RigidBody(
-        tuple(Corner.on_axle(p, axle, axle, 0.0) for axle in CORNERS),
+        tuple(Corner.of(p, axle, axle, 0.0) for axle in CORNERS),
         p["sprung_mass"],
         p["pitch_inertia"],
         None,
@@ -49,7 +52,7 @@ KIND = Car(
     PARAMETERS,
     check,
     lacking={
-        "anti_roll": 'an anti-roll bar needs a body that rolls, but a half-car only heaves and pitches: give plane = "roll", or use a full_car',
-        "roll_centre": 'roll centres need a body that rolls, but a half-car only heaves and pitches: give plane = "roll", or use a full_car',
+        "anti_roll": f"anti-roll bars {ROLLS}",
+        "roll_centre": f"roll centres {ROLLS}",
     },
 )

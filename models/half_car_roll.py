@@ -1,7 +1,7 @@
 """Half-car in the roll plane: heave and roll of a body on a left and a right wheel, seen from behind.
 
-Its equations: `kinds/rigid_body.py`. Both wheels are in one cross-section, so that both meet a place of the road simultaneously, each
-on its own track. A full car with equal axles whose road is alike under both axles moves as this car with twice its wheels.
+Its equations: `kinds/rigid_body.py`. Both wheels are in one cross-section, so that no wheel follows another: each has its own
+track of the road. A full car with equal axles at equal distances moves as two of these cars if both axles have the same road.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ PARAMETERS = (
 
 def _body(p: Parameters) -> RigidBody:
     return RigidBody(
-        tuple(Corner.at(p, side, side, 0.0, lateral(side, p)) for side in SIDES),
+        tuple(Corner.of(p, side, side, lateral(side, p)) for side in SIDES),
         p["sprung_mass"],
         None,
         p["roll_inertia"],
@@ -69,7 +69,7 @@ KIND = Car(
     PARAMETERS,
     check,
     lacking={
-        name: "a half-car in the roll plane only heaves and rolls: omit the plane, or use a full_car"
+        name: "a half-car in the roll plane only heaves and rolls: omit plane, or use a full_car"
         for name in ("pitch", "axle_distance", "anti_dive", "anti_lift", "anti_squat")
     },
 )

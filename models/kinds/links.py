@@ -70,9 +70,9 @@ def arms(p: Parameters) -> tuple[float | None, float | None]:
     pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
     if ROLL_CENTRE.name in p:
         return pitch, p["centre_height"] - p[ROLL_CENTRE.name]
-    heights = [p[part.name] for part in ROLL_CENTRES if part.name in p]
-    if len(heights) < len(ROLL_CENTRES):
+    if ROLL_CENTRES[0].name not in p:
         return pitch, None
+    heights = [p[part.name] for part in ROLL_CENTRES]
     return pitch, p["centre_height"] - sum(share * height for share, height in zip(_shares(p), heights, strict=True))
 
 

@@ -109,13 +109,9 @@ class Corner:
     tyre_damping: float = 0.0
 
     @classmethod
-    def on_axle(cls, p: Parameters, name: str, axle: str, y: float) -> "Corner":
-        """Returns a corner with the parameters of its axle."""
-        return cls.at(p, name, axle, p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"], y)
-
-    @classmethod
-    def at(cls, p: Parameters, name: str, place: str, x: float, y: float) -> "Corner":
-        """Returns a corner with the parameters of its axle or its side."""
+    def of(cls, p: Parameters, name: str, place: str, y: float) -> "Corner":
+        """Returns a corner with the parameters of its axle, or of its side in the cross-section of the centre of mass."""
+        x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)
         own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
         damping = p.get(f"tyre_damping_{place}", 0.0)
         return cls(name, x, y, *(p[f"{parameter}_{place}"] for parameter in own), tyre_damping=damping)
@@ -169,12 +165,7 @@ class RigidBody:
     @cached_property
     def modes(self) -> tuple[int, ...]:
         """The indices of its k modes among heave, pitch and roll."""
-        return tuple(i for i, own in enumerate((self.mass, self.pitch_inertia, self.roll_inertia)) if own is not None)
-
-    @property
-    def loads(self) -> tuple[BodyLoad, ...]:
-        """The loads along its modes."""
-        return tuple(LOADS[i] for i in self.modes)
+        return (0, *([1] if self.pitch_inertia is not None else []), *([2] if self.roll_inertia is not None else []))
 
     @property
     def guided(self) -> bool:
@@ -184,8 +175,7 @@ class RigidBody:
     @property
     def sways(self) -> Array:
         """Horizontal displacement of the centre of mass per mode [m/m, m/rad], shape (k,)."""
-        arms = (0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0)
-        return np.array([arms[i] for i in self.modes])
+        return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0])[list(self.modes)]
 
     def arms(self, bar: Bar) -> Array:
         """Returns the angle of a bar per deflection of every suspension [rad/m], shape (c,)."""
@@ -204,12 +194,12 @@ class RigidBody:
         """S, the height of the body above each corner per mode, shape (c, k)."""
         x, y = np.array([[corner.x, corner.y] for corner in self.corners]).T
         columns = (np.ones(len(x)), -x, y)
-        return np.stack([columns[i] for i in self.modes], axis=-1)
+        return np.stack(list(map(columns.__getitem__, self.modes)), axis=-1)
 
     @property
     def inertia(self) -> Array:
         """M, shape (k, k)."""
-        about_centre = [own for own in (self.mass, self.pitch_inertia, self.roll_inertia) if own is not None]
+        about_centre = np.array([self.mass, self.pitch_inertia or 0.0, self.roll_inertia or 0.0])[list(self.modes)]
         return np.diag(about_centre + self.mass * self.sways**2)
 
     @property
@@ -319,7 +309,7 @@ def linear_model(
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
-        loads=tuple(load.name for load in (*body.loads, *body.wheel_loads)),
+        loads=tuple(load.name for load in (*map(LOADS.__getitem__, body.modes), *body.wheel_loads)),
         Bl=Bl,
         Dl=Dl,
         Bt=Bt,
@@ -392,8 +382,8 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     # peak over a bump of 0.1 m under its left wheels, and less where it does less.
 
     if body.guided:
-        for load, arm in zip(body.loads[1:], body.sways[1:].tolist(), strict=True):
-            spec.joint(load.joint).pos = [0.0, 0.0, -arm]
+        for mode, arm in zip(body.modes[1:], body.sways[1:].tolist(), strict=True):
+            spec.joint(LOADS[mode].joint).pos = [0.0, 0.0, -arm]
     squeezes = body.static_tyre_deflection().values()
     for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
         unsprung, road = spec.body(f"unsprung_{corner.name}"), spec.body(f"road_{corner.name}")
@@ -422,7 +412,7 @@ def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]
-    for load, share in zip(body.loads, row.tolist(), strict=True):
-        tendon.wrap_joint(load.joint, share)
+    for mode, share in zip(body.modes, row.tolist(), strict=True):
+        tendon.wrap_joint(LOADS[mode].joint, share)
     tendon.wrap_joint(f"unsprung_{corner.name}", -1.0)
     return tendon

@@ -43,7 +43,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.kind import GRAVITY
-from models.kinds.rigid_body import RigidBody
+from models.kinds.rigid_body import LOADS, RigidBody
 from models.kinds.signals import Signal
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ class RigidMotion:
     @property
     def joints(self) -> tuple[str, ...]:
         k = self.shape.shape[1]
-        modes = [load.joint for load in self.body.loads] if k > 1 else ["sprung"]
+        modes = [LOADS[mode].joint for mode in self.body.modes] if k > 1 else ["sprung"]
         return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
 
     def energy(self, state: Array, heights: Array) -> Array:
