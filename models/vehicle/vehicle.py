@@ -92,7 +92,7 @@ def in_plane(name: str, plane: str) -> str:
     """
     planes = PLANES.get(name, {})
     if plane not in planes:
-        repair = f"give {listing(planes)}" if planes else f"only the type {listing(PLANES)} has a plane: omit the line"
+        repair = f"give one of {listing(planes)}" if planes else f"only the type {listing(PLANES)} has a plane: omit the line"
         raise InputError(f"plane = {quoted(plane)} is not allowed for the type {quoted(name)}; {repair}")
     return planes[plane]
 
