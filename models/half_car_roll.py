@@ -50,7 +50,8 @@ def _body(p: Parameters) -> RigidBody:
 
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
-    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
+    # Published cars of this type often have springs, and so their `track`, far inside the wheels.
+    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
     if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
         raise InputError(
             f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give less"
