@@ -18,10 +18,11 @@ from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics import sensor_readout as readout
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.frequency.identification import difference
 from synth.vehicle.designer import Designer
 from tests.conftest import random_vehicles
 from tests.support.analysed import continuous_response, sampled_response, simulate
-from tests.support.commands import in_the_suite
+from tests.support.commands import in_the_suite, refused
 from tests.support.shared import designed
 
 CARS = ["half_car", "half_car_roll", "full_car"]
@@ -355,6 +356,29 @@ def test_a_mirror_swaps_left_and_right():
     for name in cars[0].linear_model.outputs:
         sign = -1.0 if name.startswith("roll") else 1.0
         assert np.abs(ours[name] - sign * theirs[mirror(name)]).max() <= 1e-12 * max(ours.scale(name), 1e-9), name
+
+
+def test_a_payload_above_the_centre_of_mass_turns_with_the_body():
+    """A roof load raises mass, roll inertia and centre of mass; a place ahead has no effect in the cross-section."""
+    text = read_vehicle("half_car_roll").text
+    p, laden = read_vehicle("half_car_roll").parameters, parse_vehicle(f"{text}[payload]\nmass = 70.0\nz = 0.9\n").parameters
+    reduced = 730.0 * 70.0 / 800.0
+    assert (laden["sprung_mass"], laden["roll_inertia"]) == pytest.approx((800.0, 230.0 + reduced * 0.81), rel=1e-12)
+    assert laden["centre_height"] - p["centre_height"] == pytest.approx(70.0 / 800.0 * 0.9, rel=1e-12)
+    with refused("x has no effect", "does not pitch"):
+        parse_vehicle(f"{text}[payload]\nmass = 70.0\nx = 0.9\n")
+
+
+def test_roll_that_symmetry_forbids_is_rounding():
+    """Over a bump under both wheels the only angle is silent: its differences count over a displacement's scale, as at 1 m."""
+    car = read_vehicle("half_car_roll")
+    (run,) = run_controllers(car, [designed(car, "I")], Bump(), sample_times(car, 1.0, 1e-3))
+    assert 0 < run.sampled.peak("roll_rate") < 1e-6 * run.sampled.peak("heave_velocity")
+    fastest = max(run.sampled.peak(one.name) for one in run.sampled.signals if one.unit == "m/s")
+    assert run.sampled.scale("roll_rate") == 1e-3 * fastest
+    assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
+    gains, units = np.array([[1e-12, 2.0], [0.5, 2.0]]), ("rad/s", "m/s")
+    np.testing.assert_allclose(difference(gains + [1e-12, 0.0], gains, units), [[5e-10, 0.0], [2e-12, 0.0]], rtol=1e-3)
 
 
 def test_a_steady_curve_moves_load_by_its_closed_form():
