@@ -18,9 +18,6 @@ PARAMETERS = (
 )
 
 
-ROLLS = 'need a body that rolls, but this half-car only heaves and pitches: use a full_car, or plane = "roll"'
-
-
 def _body(p: Parameters) -> RigidBody:
     pitch_arm, _ = links.arms(p)
     return RigidBody(
@@ -51,8 +48,7 @@ KIND = Car(
     "half_car",
     PARAMETERS,
     check,
-    lacking={
-        "anti_roll": f"anti-roll bars {ROLLS}",
-        "roll_centre": f"roll centres {ROLLS}",
-    },
+    lacking=dict.fromkeys(
+        ("anti_roll", "roll", "track"), 'this half-car only heaves and pitches: use a full_car, or a half_car with plane = "roll"'
+    ),
 )

@@ -69,8 +69,8 @@ KIND = Car(
     "half_car_roll",
     PARAMETERS,
     check,
-    lacking={
-        name: "a half-car in the roll plane only heaves and rolls: omit plane, or use a full_car"
-        for name in ("pitch", "axle_distance", "anti_dive", "anti_lift", "anti_squat")
-    },
+    lacking=dict.fromkeys(
+        ("pitch", "axle_distance", "anti_dive", "anti_lift", "anti_squat"),
+        "a half-car in the roll plane only heaves and rolls: omit plane, or use a full_car",
+    ),
 )
