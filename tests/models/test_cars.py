@@ -17,6 +17,7 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics import sensor_readout as readout
+from sim.recording.run_records import scene_of
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import difference
 from synth.vehicle.designer import Designer
@@ -376,6 +377,7 @@ def test_roll_that_symmetry_forbids_is_rounding():
     assert 0 < run.sampled.peak("roll_rate") < 1e-6 * run.sampled.peak("heave_velocity")
     fastest = max(run.sampled.peak(one.name) for one in run.sampled.signals if one.unit == "m/s")
     assert run.sampled.scale("roll_rate") == 1e-3 * fastest
+    assert scene_of(run.prediction.input, run.physics, run.qpos).flat, "it is seen from behind"
     assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
     gains, units = np.array([[1e-12, 2.0], [0.5, 2.0]]), ("rad/s", "m/s")
     np.testing.assert_allclose(difference(gains + [1e-12, 0.0], gains, units), [[5e-10, 0.0], [2e-12, 0.0]], rtol=1e-3)
