@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from models.kinds.links import SIDES
+from models.roads.choice import choose_road
 from models.roads.load import Cornering
 from models.roads.loaded import RoadWithLoads
 from models.roads.rig import Rig
-from models.roads.road import Bump
+from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics import sensor_readout as readout
@@ -331,6 +332,8 @@ def test_a_full_car_of_equal_axles_is_two_half_cars_in_the_roll_plane():
     )
     for name in half.linear_model.outputs:
         assert np.abs(whole[at_front(name)] - part[name]).max() <= 1e-9 * part.scale(name), name
+    heights = [RoadInput(car, choose_road("iso8608").build(car, 15.0, 0, 1.0), time).heights[:, :2] for car in (full, half)]
+    assert np.array_equal(*heights), "both tracks are those of a full car's front axle"
 
 
 def mirror(name: str) -> str:
