@@ -25,10 +25,10 @@ The line begins at the tyre's contact if links hold the wheel's torque: of brake
 It begins at the wheel's centre if the body holds the torque: of inboard brakes, and of an independently sprung wheel that drives.
 The vehicle file has the shares themselves, so that both are possible.
 
-A half-car in the roll plane has a single axle. It rolls about its roll centre, and its links carry the whole lateral force.
-
-A lengthways link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
+Such a link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
 times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.
+
+A half-car in the roll plane has a single axle. It rolls about its roll centre, and its links carry the whole lateral force.
 """
 
 from collections.abc import Collection, Sequence
