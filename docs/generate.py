@@ -59,7 +59,7 @@ from sim.studies.ride import metrics
 HERE = Path(__file__).parent
 PACKAGES = (models, synth, sim)
 GUIDES = ("how-to/*.md", "built-in-vehicles.md", "tutorials/your-own-car.md")  # pages that show keys of a vehicle file
-DRAWN = ("quarter_car", "half_car", "full_car")  # vehicles on the page of conventions
+DRAWN = ("quarter_car", "half_car", "half_car_roll", "full_car")  # vehicles on the page of conventions
 
 # Pages that have moved: old address -> new address, below `docs/` without suffix.
 MOVED = {

@@ -57,7 +57,7 @@ PARAMETERS = (
 
 
 def _body(p: Parameters) -> RigidBody:
-    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, lateral(f"{axle}_{side}", p)) for axle in AXLES for side in SIDES)
+    corners = tuple(Corner.of(p, f"{axle}_{side}", axle, lateral(f"{axle}_{side}", p)) for axle in AXLES for side in SIDES)
     widths = np.repeat([links.track(axle, p) for axle in AXLES], 2)
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))

@@ -1,24 +1,18 @@
-"""Half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
+"""Half-car in the pitch plane: heave and pitch on two axles, a side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car
-from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
+from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Corner, RigidBody
-from models.kinds.strut_and_tyre import TYRE_DAMPING
 
 CORNERS = rigid_body.AXLES
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, mass of half of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of half of the body about its centre of mass"),
     *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle", largest=rigid_body.LONGEST),
-    *rigid_body.per_axle("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake"),
-    *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", positive=False),
-    *rigid_body.per_axle("suspension_damping", "N s/m", "c_s, damping coefficient", positive=False),
-    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t, called k_u in the paper", varied=Variation("tyre stiffness", 0.75, 1.25)),
-    *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
-    *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
+    *rigid_body.of_half_car(CORNERS),
     rigid_body.CENTRE_HEIGHT,
     *links.LENGTHWAYS,
 )
@@ -27,7 +21,7 @@ PARAMETERS = (
 def _body(p: Parameters) -> RigidBody:
     pitch_arm, _ = links.arms(p)
     return RigidBody(
-        tuple(Corner.on_axle(p, axle, axle, 0.0) for axle in CORNERS),
+        tuple(Corner.of(p, axle, axle, 0.0) for axle in CORNERS),
         p["sprung_mass"],
         p["pitch_inertia"],
         None,
@@ -54,8 +48,7 @@ KIND = Car(
     "half_car",
     PARAMETERS,
     check,
-    lacking={
-        "anti_roll": "an anti-roll bar needs a body that rolls, but a half-car only heaves and pitches: use a full_car",
-        "roll_centre": "roll centres need a body that rolls, but a half-car only heaves and pitches: use a full_car",
-    },
+    lacking=dict.fromkeys(
+        ("anti_roll", "roll", "track"), 'this half-car only heaves and pitches: use a full_car, or a half_car with plane = "roll"'
+    ),
 )

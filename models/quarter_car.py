@@ -139,7 +139,7 @@ def motion(p: Parameters) -> "Motion":
         tyre_stiffness=p["tyre_stiffness"],
         tyre_damping=p.get("tyre_damping", 0.0),
     )
-    body = RigidBody((corner,), p["sprung_mass"], 1.0, None, tyre_modes=np.eye(1), twist=np.zeros(1))
+    body = RigidBody((corner,), p["sprung_mass"], None, None, tyre_modes=np.eye(1), twist=np.zeros(1))
     return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))
 
 

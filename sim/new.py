@@ -13,7 +13,7 @@ from models.common.command import Parser, print_json
 from models.common.errors import InputError
 
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
-TYPES = ("quarter_car", "half_car", "full_car")
+TYPES = ("quarter_car", "half_car", "half_car_roll", "full_car")
 EPILOG = """
 The file contains the parameters of an ordinary car, limits, sensors with noise, a sample period and a delay, and controllers
 designed for them. A comment on each line explains the value. The command never replaces an existing vehicle file.

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 def lateral(corner: str, p: Parameters) -> float:
     """Returns the distance of a corner to the left of the vehicle's middle [m]."""
-    axle, _, side = corner.partition("_")
-    return links.track(axle, p) / 2 if side == "left" else -links.track(axle, p) / 2
+    axle, _, side = corner.rpartition("_")
+    return (links.track(axle, p) / 2 if side == "left" else -links.track(axle, p) / 2) - p.get("centre_offset", 0.0)
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Car:
 
     Attributes:
         body: parameters -> the body.
-        corners: names of the corners, an axle, or an axle and a side.
+        corners: names of the corners: an axle, a side, or an axle and a side.
         tyres: signals of the tyre deflections among the states.
         rates: signals of the body's velocities.
         accelerations: signals of the body's accelerations.
@@ -118,7 +118,8 @@ class Car:
         lacking: Mapping[str, str] | None = None,
     ) -> VehicleKind:
         """Returns the vehicle type; `check` refuses an impossible body, and the others are as in `VehicleKind`."""
-        sides = {corner: corner.partition("_")[2] for corner in self.corners}
+        sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
+        rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
         return VehicleKind(
             name=name,
             parameters=parameters,
@@ -142,7 +143,7 @@ class Car:
             check_together=check,
             combined=combined or {},
             on_demand=self.on_demand,
-            loads=rigid_body.LOADS[: len(self.rates)],
+            loads=tuple(load for load, rate in zip(rigid_body.LOADS, rates, strict=True) if rate in self.rates),
             wheel_loads=self.wheel_loads,
             carried=self.carried,
             angles=self.angles,

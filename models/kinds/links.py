@@ -27,6 +27,8 @@ The vehicle file has the shares themselves, so that both are possible.
 
 Such a link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
 times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.
+
+A half-car in the roll plane has a single axle. It rolls about its roll centre, and its links carry the whole lateral force.
 """
 
 from collections.abc import Collection, Sequence
@@ -35,7 +37,7 @@ from models.common.errors import InputError
 from models.kinds.kind import BodyLoad, Parameter, Parameters
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, WHEEL_LOAD
 
-AXLES = ("front", "rear")
+AXLES, SIDES = ("front", "rear"), ("left", "right")
 LOWEST, HIGHEST = -2.0, 3.0  # m, of an axis, which may lie below the ground; and of a share
 UNDER = {"brakes": ("anti_dive_front", "anti_lift_rear"), "power": ("anti_lift_front", "anti_squat_rear")}
 
@@ -48,6 +50,8 @@ ROLL_CENTRES = tuple(
     _optional(f"roll_centre_height_{axle}", "m", f"{axle}, above the ground; the body rolls about the line through both")
     for axle in AXLES
 )
+ROLL_CENTRE = _optional("roll_centre_height", "m", "height above the ground of the point about which the body rolls")
+WHEEL_CENTRE = _optional("wheel_centre_height", "m", "above the ground, where the wheels' inertia acts", smallest=0.0)
 PITCH_CENTRE = _optional("pitch_centre_height", "m", "height above the ground of the axis about which the body pitches")
 LENGTHWAYS = (
     PITCH_CENTRE,
@@ -66,15 +70,17 @@ LENGTHWAYS = (
 def arms(p: Parameters) -> tuple[float | None, float | None]:
     """Returns the heights of the centre of mass over pitch and roll axis [m]; None for an axis that the vehicle file lacks."""
     pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
-    heights = [p[part.name] for part in ROLL_CENTRES if part.name in p]
-    if len(heights) < len(ROLL_CENTRES):
+    if ROLL_CENTRE.name in p:
+        return pitch, p["centre_height"] - p[ROLL_CENTRE.name]
+    if ROLL_CENTRES[0].name not in p:
         return pitch, None
+    heights = [p[part.name] for part in ROLL_CENTRES]
     return pitch, p["centre_height"] - sum(share * height for share, height in zip(_shares(p), heights, strict=True))
 
 
 def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
     """Returns the loads on the wheels at these corners; none if links and wheels' own mass are not in the vehicle file."""
-    carrying = any(part.name in p for part in (*ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
+    carrying = any(part.name in p for part in (ROLL_CENTRE, WHEEL_CENTRE, *ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
     return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
 
 
@@ -89,6 +95,8 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
     """
     if not wheel_loads(p, corners):
         return {}
+    if corners == SIDES:
+        return _across(p, force, acceleration)
     own = [p[f"unsprung_mass_{axle}"] * acceleration * p.get(f"wheel_centre_height_{axle}", 0.0) for axle in AXLES]
     if way == ROLL_LOAD.name:
         past = [share * force * p.get(part.name, 0.0) for share, part in zip(_shares(p), ROLL_CENTRES, strict=True)]
@@ -109,6 +117,14 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
     return on_body | {f"{WHEEL_LOAD.name}_{name}": value for name, value in on_wheels.items()}
 
 
+def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float]:
+    """Returns the loads of `carried` on two wheels in a cross-section, whose links carry the whole force."""
+    moment = force * p.get(ROLL_CENTRE.name, 0.0)
+    own = sum(p[f"unsprung_mass_{side}"] for side in SIDES) * acceleration * p.get(WHEEL_CENTRE.name, 0.0)
+    gained = (moment + own) / track("", p)
+    return {ROLL_LOAD.name: -moment, f"{WHEEL_LOAD.name}_left": gained, f"{WHEEL_LOAD.name}_right": -gained}
+
+
 def track(axle: str, p: Parameters) -> float:
     """Returns the distance of an axle's wheels [m], from `track_AXLE` or, if that is not given, from `track`.
 
@@ -122,8 +138,8 @@ def track(axle: str, p: Parameters) -> float:
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
     """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
-    axes = (("rolls", "roll_angle", ROLL_CENTRES[0]), ("pitches", "pitch_angle", PITCH_CENTRE))
-    turning = [turns for turns, angle, part in axes if angle in angles and part.name not in p]
+    axes = (("rolls", "roll_angle", (ROLL_CENTRES[0], ROLL_CENTRE)), ("pitches", "pitch_angle", (PITCH_CENTRE,)))
+    turning = [turns for turns, angle, parts in axes if angle in angles and not any(part.name in p for part in parts)]
     how = " and ".join(turning)
     return f"the model neglects the moment of the body's own weight as the body {how}" if turning else ""
 

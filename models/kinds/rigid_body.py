@@ -1,4 +1,4 @@
-"""Rigid body on several corners, the common part of a half-car and a full car.
+"""Rigid body on several corners, the common part of half-cars and a full car. A half-car lacks pitch or roll.
 
 Axes are those of ISO 8855: x forward, y to the left, z up; pitch is positive nose down, roll is positive right side down. With
 heave z, pitch theta and roll phi of the body, small, its height above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In
@@ -32,13 +32,14 @@ are fixed tendons. An upright strut would lean as the body sways, and its preloa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation
+from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation, motion_ratio
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     HEAVE_LOAD,
@@ -50,7 +51,7 @@ from models.kinds.signals import (
     Signal,
     names_of,
 )
-from models.kinds.strut_and_tyre import write_strut, write_tyre
+from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
@@ -62,10 +63,29 @@ LONGEST = 50.0  # m, of distances between wheels; more are millimetres
 
 
 def per_axle(
-    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None, **options: Any
+    name: str,
+    unit: str,
+    meaning: str,
+    positive: bool = True,
+    varied: Variation | None = None,
+    places: Sequence[str] = AXLES,
+    **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter of every axle, with these further options of `Parameter`."""
-    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, **options) for axle in AXLES)
+    """Returns a parameter of every axle, or of other places, with these further options of `Parameter`."""
+    return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, varied, **options) for place in places)
+
+
+def of_half_car(places: Sequence[str]) -> tuple[Parameter, ...]:
+    """Returns the parameters of the wheels of a half-car, one at each of two axles or sides."""
+    tyre = Variation("tyre stiffness", 0.75, 1.25)
+    return (
+        *per_axle("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake", places=places),
+        *per_axle("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", False, places=places),
+        *per_axle("suspension_damping", "N s/m", "c_s, damping coefficient", False, places=places),
+        *per_axle("tyre_stiffness", "N/m", "k_t, called k_u in the paper", varied=tyre, places=places),
+        *per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", False, places=places, optional=True),
+        *(motion_ratio(f"motion_ratio_{place}") for place in places),
+    )
 
 
 @dataclass(frozen=True)
@@ -89,12 +109,12 @@ class Corner:
     tyre_damping: float = 0.0
 
     @classmethod
-    def on_axle(cls, p: Parameters, name: str, axle: str, y: float) -> "Corner":
-        """Returns a corner with the parameters of its axle."""
-        x = p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"]
+    def of(cls, p: Parameters, name: str, place: str, y: float) -> "Corner":
+        """Returns a corner with the parameters of its axle, or of its side in the cross-section of the centre of mass."""
+        x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)
         own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
-        damping = p.get(f"tyre_damping_{axle}", 0.0)
-        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own), tyre_damping=damping)
+        damping = p.get(f"tyre_damping_{place}", 0.0)
+        return cls(name, x, y, *(p[f"{parameter}_{place}"] for parameter in own), tyre_damping=damping)
 
 
 @dataclass(frozen=True)
@@ -120,7 +140,8 @@ class RigidBody:
     Attributes:
         corners: c of them.
         mass: sprung mass [kg].
-        pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2].
+        pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does not
+            pitch.
         roll_inertia: moment of inertia about the longitudinal axis [kg m2]; None for a body that does not roll.
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
         twist: n, with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
@@ -132,7 +153,7 @@ class RigidBody:
 
     corners: tuple[Corner, ...]
     mass: float
-    pitch_inertia: float
+    pitch_inertia: float | None
     roll_inertia: float | None
     tyre_modes: Array
     twist: Array
@@ -141,6 +162,11 @@ class RigidBody:
     roll_arm: float | None = None
     wheel_loads: tuple[BodyLoad, ...] = ()
 
+    @cached_property
+    def modes(self) -> tuple[int, ...]:
+        """The indices of its k modes among heave, pitch and roll."""
+        return (0, *([1] if self.pitch_inertia is not None else []), *([2] if self.roll_inertia is not None else []))
+
     @property
     def guided(self) -> bool:
         """True if links give it an axis, and guide its wheels."""
@@ -148,8 +174,8 @@ class RigidBody:
 
     @property
     def sways(self) -> Array:
-        """Lateral displacement of the centre of mass per heave, pitch (and roll) [m/m, m/rad], shape (2,) or (3,)."""
-        return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0][: 2 if self.roll_inertia is None else 3])
+        """Horizontal displacement of the centre of mass per mode [m/m, m/rad], shape (k,)."""
+        return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0])[list(self.modes)]
 
     def arms(self, bar: Bar) -> Array:
         """Returns the angle of a bar per deflection of every suspension [rad/m], shape (c,)."""
@@ -165,20 +191,20 @@ class RigidBody:
 
     @property
     def shape(self) -> Array:
-        """S, the height of the body above each corner per heave, pitch (and roll), shape (c, 2 or 3)."""
+        """S, the height of the body above each corner per mode, shape (c, k)."""
         x, y = np.array([[corner.x, corner.y] for corner in self.corners]).T
-        columns = [np.ones(len(x)), -x] + ([] if self.roll_inertia is None else [y])
-        return np.stack(columns, axis=-1)
+        columns = (np.ones(len(x)), -x, y)
+        return np.stack(list(map(columns.__getitem__, self.modes)), axis=-1)
 
     @property
     def inertia(self) -> Array:
-        """M, shape (2, 2) or (3, 3)."""
-        about_centre = [self.mass, self.pitch_inertia] + ([] if self.roll_inertia is None else [self.roll_inertia])
+        """M, shape (k, k)."""
+        about_centre = np.array([self.mass, self.pitch_inertia or 0.0, self.roll_inertia or 0.0])[list(self.modes)]
         return np.diag(about_centre + self.mass * self.sways**2)
 
     @property
     def weight(self) -> Array:
-        """W, the moment of the weight per angle, shape (2, 2) or (3, 3)."""
+        """W, the moment of the weight per angle, shape (k, k)."""
         return np.diag(self.mass * GRAVITY * self.sways)
 
     def static_loads(self) -> Array:
@@ -283,7 +309,7 @@ def linear_model(
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
-        loads=tuple(load.name for load in (*LOADS[:k], *body.wheel_loads)),
+        loads=tuple(load.name for load in (*map(LOADS.__getitem__, body.modes), *body.wheel_loads)),
         Bl=Bl,
         Dl=Dl,
         Bt=Bt,
@@ -295,10 +321,11 @@ def linear_model(
 def angles(body: RigidBody) -> dict[str, dict[str, float]]:
     """Returns the body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
     q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
+    turns = [("", "pitch_angle", "roll_angle")[i] for i in body.modes[1:]]
     parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
     return {
         angle: {f"{part}_{name}": float(share) for part in parts for name, share in zip(names, row, strict=True)}
-        for angle, row in zip(("pitch_angle", "roll_angle"), q[1:], strict=False)
+        for angle, row in zip(turns, q[1:], strict=True)
     }
 
 
@@ -327,7 +354,8 @@ def check_stands(body: RigidBody) -> None:
         freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
     except np.linalg.LinAlgError:
         raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
-    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(freed) - 1], start=1):
+    for i, mode in enumerate(body.modes[1:], start=1):
+        turns, centres = ("pitches", "pitch centre") if mode == 1 else ("rolls", "roll centres")
         holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
@@ -346,16 +374,16 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass
-    roll = body.pitch_inertia if body.roll_inertia is None else body.roll_inertia
-    sprung.inertia = [roll, body.pitch_inertia, max(roll, body.pitch_inertia)]
+    inertias = [own for own in (body.roll_inertia, body.pitch_inertia) if own is not None]
+    sprung.inertia = [inertias[0], inertias[-1], max(inertias)]
     # The third inertia, of a body that cannot yaw, counts where it pitches and rolls at once, with the square of the amplitude,
     # and in the linear model not at all. No vehicle file gives it: the larger of the other two is near a car's. Any that a body
     # with those two can have, from their difference to their sum, would move the full car's pitch acceleration by 5e-4 of its
     # peak over a bump of 0.1 m under its left wheels, and less where it does less.
 
     if body.guided:
-        for name, arm in zip(("pitch", "roll"), body.sways[1:].tolist(), strict=False):
-            spec.joint(name).pos = [0.0, 0.0, -arm]
+        for mode, arm in zip(body.modes[1:], body.sways[1:].tolist(), strict=True):
+            spec.joint(LOADS[mode].joint).pos = [0.0, 0.0, -arm]
     squeezes = body.static_tyre_deflection().values()
     for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
         unsprung, road = spec.body(f"unsprung_{corner.name}"), spec.body(f"road_{corner.name}")
@@ -384,7 +412,7 @@ def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]
-    for load, share in zip(LOADS, row.tolist(), strict=False):
-        tendon.wrap_joint(load.joint, share)
+    for mode, share in zip(body.modes, row.tolist(), strict=True):
+        tendon.wrap_joint(LOADS[mode].joint, share)
     tendon.wrap_joint(f"unsprung_{corner.name}", -1.0)
     return tendon

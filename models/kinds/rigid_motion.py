@@ -62,7 +62,7 @@ class RigidMotion:
 
     Attributes:
         body: masses, geometry and elements of the body.
-        shape: S of `RigidBody`, or its first columns, shape (c, k).
+        shape: S of `RigidBody`, shape (c, k).
         yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
@@ -124,8 +124,8 @@ class RigidMotion:
             )
         for bar in self.body.bars:
             arms = self.body.arms(bar)
-            moment = bar.stiffness * (q[:, 2] - hubs @ arms)
-            on_body[:, 2] -= moment
+            moment = bar.stiffness * (q[:, -1] - hubs @ arms)  # of roll, which is the last mode
+            on_body[:, -1] -= moment
             on_hubs = on_hubs + moment[:, None] * arms
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
 
@@ -141,8 +141,9 @@ class RigidMotion:
             sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self._tilt(q))
             b, over = self.body.roll_arm or 0.0, side * y + s
             sway, bend = turned * y - b * side, -side * y - b * turned
-            by_q = np.stack([np.ones_like(over), -x * cos - over * sin, sway * cos][:k], axis=-1)
-            pitch_rate, roll_rate = rates[:, 1:2], rates[:, 2:3] if k > 2 else np.zeros_like(sin)
+            by_each = (np.ones_like(over), -x * cos - over * sin, sway * cos)
+            by_q = np.stack([by_each[i] for i in self.body.modes], axis=-1)
+            pitch_rate, roll_rate = (np.reshape(one, (-1, 1)) for one in self._turns(rates))
             bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * sway * sin
             velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
             acceleration = acceleration + bent
@@ -157,7 +158,7 @@ class RigidMotion:
     @property
     def joints(self) -> tuple[str, ...]:
         k = self.shape.shape[1]
-        modes = [load.joint for load in LOADS[:k]] if k > 1 else ["sprung"]
+        modes = [LOADS[mode].joint for mode in self.body.modes] if k > 1 else ["sprung"]
         return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
 
     def energy(self, state: Array, heights: Array) -> Array:
@@ -168,12 +169,12 @@ class RigidMotion:
         under = np.maximum(0.0, resting + unsprung * GRAVITY - tyre * (hubs - heights))
         potential = (spring * d**2 / 2 - resting * d + under**2 / (2 * tyre) + unsprung * GRAVITY * hubs).sum(axis=1)
         for bar in self.body.bars:
-            potential += bar.stiffness * (q[:, 2] - hubs @ self.body.arms(bar)) ** 2 / 2
+            potential += bar.stiffness * (q[:, -1] - hubs @ self.body.arms(bar)) ** 2 / 2
         kinetic = self.body.mass * rates[:, 0] ** 2 + (unsprung * hub_rates**2).sum(axis=1)
         if q.shape[1] > 1:
             sin, cos, side, _, s = self._tilt(q)
             lifted = lifted - (self.body.pitch_arm or 0.0) + s * cos
-            for own, entry, rate in zip(*self._masses(sin, cos, side, s), rates[:, 1:].T, strict=False):
+            for own, entry, rate in zip(*self._masses(sin, cos, side, s), rates[:, 1:].T, strict=True):
                 kinetic += (own * rate + 2 * entry * rates[:, 0]) * rate
         return np.stack([potential + self.body.mass * GRAVITY * lifted, kinetic / 2], axis=-1)
 
@@ -184,24 +185,34 @@ class RigidMotion:
         numbers = (np.array([getattr(corner, name) for corner in self.body.corners]) for name in names)
         return (*numbers, self.body.static_loads())
 
+    def _turns(self, columns: Array) -> tuple[Array, Array]:
+        """Returns the columns of pitch and roll of some with k modes, each of shape (T,); zeros for one that the body lacks."""
+        modes = self.body.modes
+        pitch, roll = (columns[:, modes.index(i)] if i in modes else np.zeros(len(columns)) for i in (1, 2))
+        return pitch, roll
+
     def _tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
         """Returns sine and cosine of theta, those of phi, and s, each of shape (T,)."""
-        theta, phi = q[:, 1], q[:, 2] if q.shape[1] > 2 else np.zeros(len(q))
+        theta, phi = self._turns(q)
         c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
         return np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), c - 2 * b * np.sin(phi / 2) ** 2 if b else c
 
-    def _masses(
-        self, sin: Array, cos: Array, side: Array, s: Array | float
-    ) -> tuple[tuple[Array | float, ...], tuple[Array, Array]]:
-        """Returns inertias of pitch and roll, and their entries in the mass matrix's row of heave, each of shape (T,).
+    def _masses(self, sin: Array, cos: Array, side: Array, s: Array | float) -> tuple[list[Array | float], list[Array]]:
+        """Returns the inertias of pitch and roll that the body has, and their entries in the mass matrix's row of heave, each of
+        shape (T,).
 
         Args:
             sin, cos, side, s: sine and cosine of theta, sine of phi, and s, as `_tilt` returns them.
         """
         body, b = self.body, self.body.roll_arm or 0.0
-        pitch = body.pitch_inertia + (self.yaw_inertia - body.pitch_inertia) * side**2 + body.mass * s**2
-        roll = (body.roll_inertia or 0.0) + body.mass * b**2
-        return (pitch, roll), (-body.mass * s * sin, -body.mass * b * side * cos)
+        inertias, entries = list[Array | float](), list[Array]()
+        if body.pitch_inertia is not None:
+            inertias.append(body.pitch_inertia + (self.yaw_inertia - body.pitch_inertia) * side**2 + body.mass * s**2)
+            entries.append(-body.mass * s * sin)
+        if body.roll_inertia is not None:
+            inertias.append(body.roll_inertia + body.mass * b**2)
+            entries.append(-body.mass * b * side * cos)
+        return inertias, entries
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
         """Returns q'' under generalized forces, shape (T, k)."""
@@ -211,17 +222,17 @@ class RigidMotion:
         sin, cos, side, turned, s = self._tilt(q)
         inertias, entries = self._masses(sin, cos, side, s)
         lift, moments = push[:, 0], list(push[:, 1:].T)
-        theta_dot, phi_dot = rates[:, 1], rates[:, 2] if q.shape[1] > 2 else np.zeros(len(q))
-        if q.shape[1] > 2:
+        theta_dot, phi_dot = self._turns(rates)
+        if self.body.pitch_inertia is not None and self.body.roll_inertia is not None:
             slope = 2 * (self.yaw_inertia - self.body.pitch_inertia) * side * turned - 2 * mass * s * b * side
             moments = [moments[0] - slope * theta_dot * phi_dot, moments[1] + slope * theta_dot**2 / 2]
         if not self.body.guided:
-            turns = [moment / own for moment, own in zip(moments, inertias, strict=False)]
+            turns = [moment / own for moment, own in zip(moments, inertias, strict=True)]
             return np.stack([lift / mass - GRAVITY, *turns], axis=-1)
         # What the rates' products leave in the heave's row: the change of both entries.
         lift = lift + mass * (s * cos * theta_dot - b * side * phi_dot * sin) * theta_dot
         lift = lift + mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
-        rows = list(zip(entries, moments, inertias, strict=False))
+        rows = list(zip(entries, moments, inertias, strict=True))
         of_others = sum(entry * moment / own for entry, moment, own in rows)
         lifted = (lift - of_others) / (mass - sum(entry**2 / own for entry, _, own in rows))
         turns = [(moment - entry * lifted) / own for entry, moment, own in rows]
@@ -247,8 +258,10 @@ class RigidMotion:
         rise = q[:, :1] - hubs - x * sin + over * cos
         height = STRUT + rise
         length = np.sqrt(along**2 + across**2 + height**2)
-        J = [height / length, (along * (over * cos - x * sin) - height * (x * cos + over * sin)) / length]
-        if q.shape[1] > 2:
+        J = [height / length]
+        if self.body.pitch_inertia is not None:
+            J.append((along * (over * cos - x * sin) - height * (x * cos + over * sin)) / length)
+        if self.body.roll_inertia is not None:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
         # Of a strut that leans by little, the difference of two lengths would lose what this keeps.
@@ -265,7 +278,6 @@ def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[S
         signals: deflections of its c suspensions, of its c tyres, its own rates, as many as it has, and those of its c hubs.
         further: additional signals, as in `RigidMotion`.
     """
-    inertias = [body.pitch_inertia] + ([] if body.roll_inertia is None else [body.roll_inertia])
-    rates = len(signals) - 3 * len(body.corners)
+    inertias = [own for own in (body.pitch_inertia, body.roll_inertia) if own is not None]
     names, more = (tuple(signal.name for signal in some) for some in (signals, further))
-    return RigidMotion(body, body.shape[:, :rates], max(inertias), names, more)
+    return RigidMotion(body, body.shape, max(inertias, default=0.0), names, more)

@@ -14,7 +14,7 @@ from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import ROAD, WEIGHT, WeightSection
-from models.vehicle.vehicle import VehicleFile, kind
+from models.vehicle.vehicle import PLANES, VehicleFile, kind
 
 TABLE = {"type": "object"}
 WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
@@ -58,7 +58,11 @@ def file_schema(name: str) -> dict[str, Any]:
         "parts": TABLE | {"additionalProperties": {"anyOf": [_element(name, one) for name, one in element_kinds().items()]}},
     }
     file = json_schema(VehicleFile)
-    file["properties"] |= {"type": {"const": name}, **sections}
+    given, plane = next(((of, key) for of, planes in PLANES.items() for key, one in planes.items() if one == name), (name, ""))
+    file["properties"] |= {"type": {"const": given}, "plane": {**file["properties"]["plane"], "const": plane}, **sections}
+    file["required"] += ["plane"] * (given != name)
+    if not plane:
+        del file["properties"]["plane"]
     title = f"Roadproof vehicle file of type {name}"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **file}
 

@@ -20,7 +20,7 @@ from models.laws.python_runtime import Sample
 
 FORCE = signals.CONTROL_FORCE.name
 KNOWN = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
-CORNERS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
+CORNERS = ("front", "rear", "left", "right", "front_left", "front_right", "rear_left", "rear_right")
 GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
 

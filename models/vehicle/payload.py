@@ -24,10 +24,11 @@ from models.common.errors import InputError, error_in
 from models.common.schema import SI, Section, read
 from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")
+TURNS = (PITCH_LOAD.name, ROLL_LOAD.name)
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,9 @@ def laden(
         )
     for where, given in named.items():
         payload = read(where, PayloadSection, given)
-        if (moved := next((key for key in PLACE if getattr(payload, key)), "")) and PITCH_LOAD.name not in model.loads:
-            raise InputError(f"{where} {moved} has no effect, because this vehicle does not pitch; omit {moved}")
+        for key, turns, words in (("x", TURNS[:1], "does not pitch"), ("z", TURNS, "does not turn")):
+            if getattr(payload, key) and not {*turns} & {*model.loads}:
+                raise InputError(f"{where} {key} has no effect, because this vehicle {words}; omit {key}")
         mass, x, z = payload.mass, payload.x - shift["x"], payload.z - shift["z"]
         whole = heavier["sprung_mass"] + mass
         reduced = heavier["sprung_mass"] * mass / whole

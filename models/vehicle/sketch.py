@@ -10,11 +10,14 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 
 AXLES = ("_front", "_rear")
+PAIRS = (*AXLES, "_left", "_right")  # endings of parameters that have a row in common
 FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # of a parameter's meaning, if that is a symbol
 
 
 def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     """Returns the sketch of a vehicle of any kind: from the side and, if it has two tracks, from behind.
+
+    A vehicle with all wheels in one cross-section is drawn only from behind.
 
     Kinds without the usual names of parameters are drawn by their wheels and suspensions, with the symbols k, c and m.
 
@@ -24,20 +27,24 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     """
     kind, given = vehicle.kind, vehicle.parameters
     symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
+    box = _box(vehicle.implementation) if computer else ()
     axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each
     mass = next((symbols.setdefault(name, "m") for name in ("sprung_mass", "mass") if name in given), "")
     front, rear = (given.get(f"axle_distance{axle}", 0.0) for axle in AXLES)
     letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
     spans = ((-front - rear, -front, letters[1]), (-front, 0.0, letters[0])) if front else ()
     struts = [_strut(vehicle, wheel, place, _axle(wheel), symbols) for place, wheel in sorted(axles.items())]
-    body, box = [mass, *filter(None, [symbols.get("pitch_inertia")])], _box(vehicle.implementation) if computer else ()
+    body = [mass, *filter(None, [symbols.get("pitch_inertia")])]
     views = [View(tuple(struts), ", ".join(body), spans, computer=box)]
     across = {-wheel.lateral(given): wheel for wheel in kind.wheels if wheel.side and -wheel.behind(given) == min(axles)}
     if len(across) > 1:
         struts = [_strut(vehicle, wheel, place, wheel.side, symbols) for place, wheel in sorted(across.items())]
-        body, bar = [mass, *filter(None, [symbols.get("roll_inertia")])], "anti_roll_stiffness_rear"
+        body = [mass, *filter(None, [symbols.get("roll_inertia")])]
+        bar = next((name for name in ("anti_roll_stiffness_rear", "anti_roll_stiffness") if given.get(name)), "")
         span = (min(across), max(across), symbols.get("track", ""))
-        views.append(View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, "") if given.get(bar) else ""))
+        flat = len(axles) == 1
+        behind = View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, ""), box if flat else ())
+        views = [behind] if flat else [*views, behind]
     title = f"{kind.name.replace('_', ' ')}{', from the side and from behind' * (len(views) > 1)}"
     return Sketch(title, tuple(views), (*_parameters(vehicle, symbols), *_hardware(vehicle, computer)))
 
@@ -84,11 +91,11 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter, of both axles together."""
+    """Yields a row for each parameter, of both axles or sides together."""
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:
-            axle = next((axle for axle in AXLES if name.endswith(axle)), "")
+            axle = next((axle for axle in PAIRS if name.endswith(axle)), "")
             unit = known[name].unit.replace("m2", "m²").replace(" ", "·").removesuffix("1")
             text = f"{value:g} {unit}".rstrip() + " with a curve" * (name in vehicle.curves)
             groups.setdefault(name.removesuffix(axle), {})[axle] = text

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
-from models.common.errors import InputError, error_in, listing
+from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
 from models.common.schema import AnyTable, Section, Text, keys, read
@@ -81,6 +81,20 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 Entries = Mapping[str, Any]
+PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}  # types by the plane of motion, by `type` of a file
+
+
+def in_plane(name: str, plane: str) -> str:
+    """Returns the name of the vehicle type that a `type` is in a plane.
+
+    Raises:
+        InputError: the type has no such plane.
+    """
+    planes = PLANES.get(name, {})
+    if plane not in planes:
+        repair = f"give one of {listing(planes)}" if planes else f"only the type {listing(PLANES)} has a plane: omit the line"
+        raise InputError(f"plane = {quoted(plane)} is not allowed for the type {quoted(name)}; {repair}")
+    return planes[plane]
 
 
 @dataclass(frozen=True)
@@ -97,6 +111,7 @@ class VehicleFile(Section):
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
     parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
+    plane: Annotated[str, Text("plane in which a half-car moves, below its type: pitch (default) or roll")] = ""
 
 
 SECTIONS = tuple(keys(VehicleFile))
@@ -594,7 +609,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         600.0
     """
     given = read("", VehicleFile, parse_toml(text))
-    vehicle_kind = kind(given.type, folder)
+    vehicle_kind = kind(in_plane(given.type, given.plane) if given.plane else given.type, folder)
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, given.parameters, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:

@@ -22,7 +22,7 @@ from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
 from sim.response.regime import DIVERGENCE, END_NAMES, LAW_OVERFLOW, RAN_AWAY
-from sim.response.response import SILENT
+from sim.response.response import SILENT, loudest_alike
 from sim.runs.steps import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
@@ -98,9 +98,9 @@ class ReferenceResponse:
     def errors(self) -> Array:
         """Largest difference of any state from its twin, over the twin's peak, shape (N,)."""
         worst = np.zeros(self.off.shape[1])
-        for i in self.states:
-            loudest = np.max([self.peak[j] for j in self.states if self.units[j] == self.units[i]], axis=0)
-            scale = np.maximum(self.peak[i], SILENT * loudest)
+        loudest = loudest_alike(self.peak[self.states].T, [self.units[i] for i in self.states])
+        for k, i in enumerate(self.states):
+            scale = np.maximum(self.peak[i], SILENT * loudest[:, k])
             worst = np.maximum(worst, np.divide(self.off[i], scale, out=np.zeros_like(scale), where=scale > 0))
         return worst
 

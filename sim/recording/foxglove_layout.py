@@ -49,7 +49,10 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], page: Page, name: str)
 
 
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
-    """Returns a 3D panel, seen from the left, slightly from the front and above; a single car is followed."""
+    """Returns a 3D panel, seen from the left, slightly from the front and above; a single car is followed.
+
+    A single vehicle in the roll plane is seen from behind.
+    """
     low, high = np.array([run.scene.finite().extent() for run in seen]).swapaxes(0, 1)
     size = (high - low).max(axis=0)
     length = 1.15 * size[0] * len(seen)
@@ -60,7 +63,7 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
             "distance": float(1.1 * max(length, 2 * size[2])),
             "perspective": True,
             "phi": 75,  # degrees, from straight above
-            "thetaOffset": 204,  # degrees, to the left from behind
+            "thetaOffset": 109 if len(seen) == 1 and seen[0].scene.flat else 204,  # degrees: from behind, or from the left
             "fovy": 45,
             "near": 0.1,
             "far": 500,

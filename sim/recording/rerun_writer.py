@@ -37,6 +37,7 @@ from sim.runs.steps import DIFFERENCE as GAP
 
 # Direction of view: from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
+FROM_BEHIND = np.array([1.0, -0.35, -0.14])  # that of a vehicle in the roll plane, slightly from the left
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # background that contrasts with black tyres
 ROUNDING = 1e-9  # of the other end of a curve: less is 0
@@ -137,7 +138,8 @@ def _series(title: str, curves: Sequence[Array], legend: bool = True, **contents
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
     """Returns the view of a run's car, whole, along `SIGHT`, for this ratio of width to height."""
-    sight = SIGHT / np.linalg.norm(SIGHT)
+    sight = FROM_BEHIND if run.scene.flat else SIGHT
+    sight = sight / np.linalg.norm(sight)
     right = np.cross(sight, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     upward = np.cross(right, sight)

@@ -151,6 +151,12 @@ class Scene:
             tracks=tuple(replace(track, travelled=track.travelled[mask]) for track in self.tracks),
         )
 
+    @property
+    def flat(self) -> bool:
+        """True if it is wider than long, as a vehicle in the roll plane: it is then seen from behind, not from the left."""
+        low, high = self.finite().extent()
+        return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
+
     def extent(self) -> tuple[Array, Array]:
         """Returns the lowest and highest corner of all solids and tyres over all frames [m], with their first orientations."""
         corners = []

@@ -22,6 +22,27 @@ if TYPE_CHECKING:
 
 SAME_VALUE = 1e-9  # of a signal's peak: a smaller difference is rounding
 SILENT = 1e-3  # smallest scale of a signal, relative to the loudest of its unit
+STILL = 1e-6  # of displacements or their rates: less in all angles, at 1 m, is the rounding of gains that symmetry makes equal
+ALONG = {"rad": "m", "rad/s": "m/s", "rad/s2": "m/s2"}  # what an angle, or its rate, makes at a distance
+
+
+def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> Array:
+    """Returns the largest size among the signals of each one's unit, shape (..., p).
+
+    If symmetry keeps all angles silent, such as the only one of a half-car in the roll plane over a bump under both tracks, then
+    their sizes are those of displacements, as at a distance of 1 m.
+
+    Args:
+        sizes: size of p signals, shape (..., p).
+        units: their units.
+        still: `STILL`, or its square for squares of sizes.
+    """
+    largest = {unit: sizes[..., [one == unit for one in units]].max(axis=-1) for unit in {*units}}
+    for turned, along in ALONG.items():
+        if turned in largest and along in largest:
+            still_now = largest[turned] <= still * largest[along]
+            largest[turned] = np.where(still_now, largest[along], largest[turned])
+    return np.stack([largest[unit] for unit in units], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,15 +167,18 @@ class Response(Shown):
             peaks[..., self._column(name)] = np.maximum(peaks[..., self._column(name)], np.abs(values).max(axis=-1))
         return peaks
 
+    @cached_property
+    def _loudest(self) -> Array:
+        """Returns the largest peak of the signals of each one's unit, shape (..., S)."""
+        return loudest_alike(self._peaks, [signal.unit for signal in self.signals])
+
     def scale(self, signal: str) -> float:
         """Returns the scale of a single run's differences in a signal: its peak.
 
         A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: its scale is a
-        thousandth of the loudest signal of its unit.
+        thousandth of the loudest signal of its unit, see `loudest_alike`.
         """
-        unit = self.signals[self._column(signal)].unit
-        loudest = max(self.peak(other.name) for other in self.signals if other.unit == unit)
-        return max(self.peak(signal), SILENT * loudest)
+        return max(self.peak(signal), SILENT * float(self._loudest[self._column(signal)]))
 
     def rms(self, signal: str) -> Any:
         """Returns the root mean square of a signal over the whole response, of both sides of its jumps.

@@ -189,8 +189,8 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the second disturbance, road twist, if the vehicle has one."""
     count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
     # The weight of a body with a roll or a pitch axis acts by the road's inclination.
-    axes = {"roll": "roll_centre_height_front", "pitch": "pitch_centre_height"}
-    felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
+    axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
+    felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
     text = f"The disturbance w is the road's velocity under every wheel and the height of the road's {listing(felt)}"
     return [f"{text}, of which 1 m counts as {rate} m/s."] if count else []

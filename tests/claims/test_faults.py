@@ -29,7 +29,7 @@ from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text
 from tests.support.faults import Fault, built_with, miswritten, places, scaled
 from tests.support.pairs import CORNERS, VELOCITIES
 
-KINDS = ("quarter_car", "half_car", "full_car")
+KINDS = ("quarter_car", "half_car", "half_car_roll", "full_car")
 FORCE = "[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"
 STOPS = "[limits]\nsuspension_stroke = { bump = 0.03, rebound = 0.035 }\nstop_stiffness = [4e4, 2e6, 3e8]\n"
 TABLES = """[limits.stop]
@@ -57,7 +57,7 @@ BUILT = Implementation(sample_period=4e-3, delay=2, noise={"$": 1e-3}, quantisat
 def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run:
     """The correct run of a built-in vehicle in a regime, perhaps with another law, and as `BUILT`.
 
-    The bump of a full car is under its left wheels alone.
+    The bump of a vehicle with two tracks is under its left wheels alone.
     """
     road, usual, sections = REGIMES[regime]
     corners, measured = CORNERS[kind], VELOCITIES[kind]
@@ -73,7 +73,7 @@ def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run
     if built:
         noise, steps = ({measured[0]: table["$"]} for table in (BUILT.noise, BUILT.quantisation))
         vehicle = dataclasses.replace(vehicle, implementation=dataclasses.replace(BUILT, noise=noise, quantisation=steps))
-    if kind == "full_car":
+    if any(wheel.side for wheel in vehicle.kind.wheels):
         road = dataclasses.replace(road, track="left")
 
     def in_python(sample, state):
@@ -148,6 +148,7 @@ ALL = [(kind, regime, slice(None)) for kind in KINDS for regime in REGIMES if re
 
 FEW = [
     ("half_car", "linear", slice(8, None, 9)),
+    ("half_car_roll", "linear", slice(4, None, 9)),
     ("quarter_car", "stops", slice(2, None, 5)),
     ("quarter_car", "stops with tables", slice(2, None, 7)),
 ]
@@ -188,13 +189,16 @@ ROADS = {
     "late": (late, WHERE),
     "held late": (late, WHERE[1:2]),
     "rear late": (lambda z: np.where(np.arange(z.shape[1]) < z.shape[1] // 2, z, late(z)), WHERE),
-    "tracks swapped": (lambda z: z[:, [1, 0, 3, 2]], WHERE),
+    "tracks swapped": (lambda z: z[:, [1, 0, 3, 2][: z.shape[1]]], WHERE),
 }
 
 
 @pytest.mark.parametrize(
     ("kind", "wrong"),
-    [("half_car", "rear late"), *attacks([("quarter_car", "late"), *(("full_car", name) for name in ROADS)])],
+    [
+        ("half_car", "rear late"),
+        *attacks([("quarter_car", "late"), ("half_car_roll", "tracks swapped"), *(("full_car", name) for name in ROADS)]),
+    ],
 )
 @pytest.mark.parametrize("regime", ["linear", *attacks(["lift-off", "semi-active"])])
 def test_a_wrong_road_is_found(kind, wrong, regime):

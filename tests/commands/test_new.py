@@ -44,16 +44,20 @@ def test_a_schema_for_editors(tmp_path, capsys, name):
     schema.check_schema(schema.schema)
     for file in (path, *(ROOT / "models").rglob("*.toml"), *RULER.rglob("*.toml")):
         data = tomllib.loads(file.read_text(encoding="utf-8"))
-        if data.get("type") == name:
+        if "_".join(filter(None, (data.get("type"), data.get("plane")))) == name:
             assert not [*schema.iter_errors(data)], file
     right = tomllib.loads(path.read_text(encoding="utf-8"))
     for section in right:
         assert not schema.is_valid(right | {section: 3}), section
-        if section != "type":
+        if section not in ("type", "plane"):
             assert not schema.is_valid(right | {section: {**right[section], "colour": "red"}}), section
     text = beside.read_text(encoding="utf-8")
     for documented, keys in key_sections().items():
-        if "campaign" not in documented and "entry.toml" not in documented and ("[param" not in documented or name in documented):
+        if (
+            "campaign" not in documented
+            and "entry.toml" not in documented
+            and ("[param" not in documented or documented.endswith(f" {name}"))
+        ):
             assert [key for key, unit, _ in keys if f'"{key}": {{' not in text or unit not in text] == [], documented
 
 

@@ -34,6 +34,7 @@ ROOMS = {
     "models.parts": "models.characteristics models.kinds",
     "models.full_car": "models.kinds",
     "models.half_car": "models.kinds",
+    "models.half_car_roll": "models.kinds",
     "models.quarter_car": "models.kinds",
     "models.vehicle": "models.document models.laws models.characteristics models.kinds models.parts",
     "models.roads": "models.kinds models.vehicle",

@@ -59,8 +59,8 @@ def test_every_key_is_used(cars, campaigns):
     laws = [one for file in files for one in file.get("controllers", {}).values()]
     values = [one for law in laws for key, one in law.items() if key not in ("certificate", "bounds")]
     used = {f"[{name}]": keys([file.get(name) for file in files]) for name in SECTIONS[2:]}
-    for name in {file["type"] for file in files}:
-        mine = [file for file in files if file["type"] == name]
+    for name in {car.kind.name for car in cars}:
+        mine = [file for car, file in zip(cars, files, strict=True) if car.kind.name == name]
         used[f"[parameters] of a {name}"] = {*chain(*(chain(file["parameters"], file.get("curves", ())) for file in mine))}
     used["[controllers.NAME]"] = keys(values).union(*laws)
     used |= {f"{key} of a controller": used["[controllers.NAME]"] for key in ("minimise", "pid")}

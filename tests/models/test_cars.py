@@ -1,4 +1,4 @@
-"""Half-car and full car: their equations are their physics to first order, and their limits are the smaller vehicles."""
+"""Half-cars and full car: their equations are their physics to first order, and their limits are the smaller vehicles."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -9,18 +9,25 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.roads.road import Bump
+from models.kinds.links import SIDES
+from models.roads.choice import choose_road
+from models.roads.load import Cornering
+from models.roads.loaded import RoadWithLoads
+from models.roads.rig import Rig
+from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
-from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.physics import sensor_readout as readout
+from sim.recording.run_records import scene_of
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.frequency.identification import difference
 from synth.vehicle.designer import Designer
 from tests.conftest import random_vehicles
 from tests.support.analysed import continuous_response, sampled_response, simulate
-from tests.support.commands import in_the_suite
+from tests.support.commands import in_the_suite, refused
 from tests.support.shared import designed
 
-CARS = ["half_car", "full_car"]
+CARS = ["half_car", "half_car_roll", "full_car"]
 
 
 @pytest.fixture(scope="module", params=CARS)
@@ -103,7 +110,7 @@ def test_the_file_alone_is_the_vehicle_that_ships(name):
     assert alone.opt.integrator == written.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
 
 
-@pytest.mark.parametrize(("name", "track"), [("half_car", "both"), ("full_car", "left")])
+@pytest.mark.parametrize(("name", "track"), [("half_car", "both"), ("half_car_roll", "left"), ("full_car", "left")])
 def test_error_vanishes_with_the_amplitude(name, track):
     """The difference from the sampled response falls with the square of the height; at 1 mm it is below 1e-4 of the peak."""
     car = read_vehicle(name)
@@ -127,19 +134,21 @@ def test_error_vanishes_with_the_amplitude(name, track):
 
 def test_verdict_says_how_much_is_geometry(car, car_designer):
     """At the full bump a run agrees, and its distance from linear analysis is larger than RK4's own error: it is geometry's."""
-    (run,) = run_controllers(car, [car_designer.design("II")], Bump(), sample_times(car, 1.0, 1e-3))
+    road = Bump(0.04, track="left") if car.kind.name == "half_car_roll" else Bump()  # under both wheels it would not roll
+    (run,) = run_controllers(car, [car_designer.design("II")], road, sample_times(car, 1.0, 1e-3))
     assert run.passed
     assert run.agreement.cause == "geometry"
     assert 1e-4 < max(signal.sampled for signal in run.agreement.signals.values()) < 1e-3  # RK4's is below 1e-6
 
 
 @pytest.mark.parametrize("name", ["state", "I", "II"])
-def test_designs_are_certified_and_modest(car_designer, name):
+def test_designs_are_certified_and_modest(car, car_designer, name):
     """Every controller is proved, close to its own optimum, far better than passive, and asks no actuator for the impossible."""
     controller, passive = car_designer.design(name), car_designer.design("passive")
     assert controller.certificate.failures == ()
     assert controller.steps.optimum_gap < 1e-6
-    assert controller.certificate.norm.value < 0.45 * passive.certificate.norm.value
+    share = 0.47 if car.kind.name == "half_car_roll" else 0.45
+    assert controller.certificate.norm.value < share * passive.certificate.norm.value
     assert np.abs(controller.gain).max() < 2e5  # N/m, N s/m: of the size of the tyre's stiffness
 
 
@@ -248,6 +257,149 @@ def test_full_car_on_equal_tracks_is_a_half_car():
         for name in half.linear_model.outputs:
             corner = f"{name}_left" if name.endswith(("_front", "_rear")) else name
             assert np.abs(whole[corner] - part[name]).max() <= tolerance * part.scale(name)
+
+
+# Half-cars in the roll plane of others: sprung mass, roll inertia, track, and at each wheel mass, spring, damper and tyre.
+ROLL_CARS = {
+    "ysaholic/half-car-model-roll-response": (750.0, 320.0, 0.6, 35.0, 20e3, 1500.0, 200e3),
+    "Notabot123/simweave, demo 18": (1200.0, 2200.0, 1.6, 60.0, 20e3, 1500.0, 150e3),
+    "Liyucheng1997/08_experiment-active-suspension": (1500.0, 600.0, 1.55, 100.0, 60e3, 4000.0, 400e3),
+}
+
+
+def roll_car(ms=600.0, roll=250.0, track=1.5, mu=40.0, k=2e4, c=1200.0, kt=2e5, **more) -> Vehicle:
+    """A half-car in the roll plane with equal sides."""
+    each = {"unsprung_mass": mu, "suspension_stiffness": k, "suspension_damping": c, "tyre_stiffness": kt}
+    own = {"sprung_mass": ms, "roll_inertia": roll, "track": track} | more
+    own |= {f"{name}_{side}": value for name, value in each.items() for side in ("left", "right") if f"{name}_{side}" not in more}
+    lines = "".join(f"{name} = {value!r}\n" for name, value in own.items())
+    return parse_vehicle(f'type = "half_car"\nplane = "roll"\n[parameters]\n{lines}[performance]\nroll_acceleration = 1.0\n')
+
+
+@pytest.mark.parametrize("numbers", [(600.0, 250.0, 1.5, 40.0, 2e4, 1200.0, 2e5), *ROLL_CARS.values()], ids=["own", *ROLL_CARS])
+def test_heave_and_roll_have_their_closed_forms(numbers):
+    """Each of heave and roll of equal sides is a car of two masses; over rigid tyres its frequency is that of a single mass."""
+    ms, roll, track, mu, k, c, kt = numbers
+    poles, bar = [], 9e3
+    for mass, more in ((ms / 2, 0.0), (2 * roll / track**2, 2 * bar / track**2)):  # reduced to the wheel of one side
+        strut = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        M, K = np.diag([mass, mu]), (k + more) * strut + np.diag([0.0, kt])
+        A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, c * strut)]])
+        poles += np.linalg.eigvals(A).tolist()
+    found = np.linalg.eigvals(roll_car(*numbers, anti_roll_stiffness=bar).linear_model.A)
+    far = np.abs(found[:, None] - np.array(poles))
+    assert max(far.min(axis=0).max(), far.min(axis=1).max()) < 1e-9 * np.abs(found).max()
+    rigid = np.linalg.eigvals(roll_car(ms, roll, track, 1e-2, k, 0.0, 1e10, anti_roll_stiffness=bar).linear_model.A)
+    expected = np.sort([np.sqrt(2 * k / ms), np.sqrt((k * track**2 / 2 + bar) / roll)])
+    np.testing.assert_allclose(np.sort(np.abs(rigid))[:4:2], expected, rtol=1e-4)
+
+
+def at_front(name: str) -> str:
+    """The signal of a full car's front axle."""
+    stem, _, side = name.rpartition("_")
+    return f"{stem}_front_{side}" if side in SIDES else name
+
+
+def test_a_full_car_of_equal_axles_is_two_half_cars_in_the_roll_plane():
+    """With the same road under both axles: poles, gains of road and loads over frequency, and runs in MuJoCo, to rounding."""
+    half = roll_car(roll_centre_height=0.1, anti_roll_stiffness=8e3, centre_height=0.6, wheel_centre_height=0.3)
+    p = {name.removesuffix("_left"): value for name, value in half.parameters.items() if not name.endswith("_right")}
+    of_car = {"sprung_mass": 1200.0, "roll_inertia": 500.0, "pitch_inertia": 2000.0, "track": 1.5, "centre_height": 0.6}
+    of_axles = {f"{name}_{axle}": p[name] for name in p if name not in of_car for axle in ("front", "rear")}
+    of_axles |= {"axle_distance_front": 1.4, "axle_distance_rear": 1.4}
+    full = dataclasses.replace(read_vehicle("full_car"), parameters=of_car | of_axles)
+    poles, own = (np.linalg.eigvals(car.linear_model.A) for car in (full, half))
+    assert (np.abs(own[:, None] - poles).min(axis=1) < 1e-9 * np.abs(own)).all()
+
+    s, gains = 2j * np.pi * np.array([0.5, 1.5, 9.0, 30.0])[:, None, None], list[np.ndarray]()
+    for car, of in ((full, at_front), (half, str)):
+        model, rows = car.linear_model, [car.linear_model.outputs.index(of(name)) for name in half.linear_model.outputs]
+        left = np.array([[float(name.endswith("left"))] for name in model.disturbances])
+        pushed = Cornering(g=1.0).over(np.array([9.0]), car.parameters, car.kind)
+        push = np.array([pushed.get(name, np.zeros(1)) for name in model.loads])
+        acts = np.concatenate([(model.Bw + model.Br / s) @ left, np.broadcast_to(model.Bl @ push, (4, len(model.A), 1))], axis=-1)
+        gains.append(model.C[rows] @ np.linalg.solve(s * np.eye(len(model.A)) - model.A, acts))
+    np.testing.assert_allclose(*gains, rtol=1e-9, atol=1e-12)
+
+    time, t = sample_times(half, 0.6, 1e-3), np.linspace(0.0, 0.5, 6)
+    moves = np.array([[0.0], [0.02], [0.06], [-0.03], [0.0], [0.01]]) * [1.0, 0.4]
+    posts = tuple(f"{axle}_{side}" for axle in ("front", "rear") for side in SIDES)
+    rigs = Rig(t, np.hstack([moves, moves]), posts), Rig(t, moves, SIDES)
+    on = [RoadWithLoads(rig, (Cornering(g=0.3, start=0.2),)) for rig in rigs]
+    passive = [Designer(car).design("passive") for car in (full, half)]
+    whole, part = (
+        simulate([car], [one], [road], time).response.run(0) for car, one, road in zip((full, half), passive, on, strict=True)
+    )
+    for name in half.linear_model.outputs:
+        assert np.abs(whole[at_front(name)] - part[name]).max() <= 1e-9 * part.scale(name), name
+    heights = [RoadInput(car, choose_road("iso8608").build(car, 15.0, 0, 1.0), time).heights[:, :2] for car in (full, half)]
+    assert np.array_equal(*heights), "both tracks are those of a full car's front axle"
+
+
+def mirror(name: str) -> str:
+    """The name on the other side."""
+    return name.replace("left", "?").replace("right", "left").replace("?", "right")
+
+
+def test_a_mirror_swaps_left_and_right():
+    """A car and its road seen in a mirror: the same numbers with sides swapped and roll reversed, also those of MuJoCo."""
+    sides = {
+        "suspension_stiffness_left": 2.4e4,
+        "tyre_damping_right": 80.0,
+        "unsprung_mass_right": 44.0,
+        "motion_ratio_left": 0.8,
+    }
+    more = {"anti_roll_stiffness": 9e3, "roll_centre_height": 0.1}
+    mirrored = {mirror(name): value for name, value in sides.items()}
+    cars = roll_car(centre_offset=0.08, **sides, **more), roll_car(centre_offset=-0.08, **mirrored, **more)
+    roads = Bump(0.06, track="left"), Bump(0.06, track="right")
+    ours, theirs = (
+        simulate([car], [Designer(car).design("passive")], [road], sample_times(car, 0.8, 1e-3)).response.run(0)
+        for car, road in zip(cars, roads, strict=True)
+    )
+    for name in cars[0].linear_model.outputs:
+        sign = -1.0 if name.startswith("roll") else 1.0
+        assert np.abs(ours[name] - sign * theirs[mirror(name)]).max() <= 1e-12 * max(ours.scale(name), 1e-9), name
+
+
+def test_a_payload_above_the_centre_of_mass_turns_with_the_body():
+    """A roof load raises mass, roll inertia and centre of mass; a place ahead has no effect in the cross-section."""
+    text = read_vehicle("half_car_roll").text
+    p, laden = read_vehicle("half_car_roll").parameters, parse_vehicle(f"{text}[payload]\nmass = 70.0\nz = 0.9\n").parameters
+    reduced = 730.0 * 70.0 / 800.0
+    assert (laden["sprung_mass"], laden["roll_inertia"]) == pytest.approx((800.0, 230.0 + reduced * 0.81), rel=1e-12)
+    assert laden["centre_height"] - p["centre_height"] == pytest.approx(70.0 / 800.0 * 0.9, rel=1e-12)
+    with refused("x has no effect", "does not pitch"):
+        parse_vehicle(f"{text}[payload]\nmass = 70.0\nx = 0.9\n")
+
+
+def test_roll_that_symmetry_forbids_is_rounding():
+    """Over a bump under both wheels the only angle is silent: its differences count over a displacement's scale, as at 1 m."""
+    car = read_vehicle("half_car_roll")
+    (run,) = run_controllers(car, [designed(car, "I")], Bump(), sample_times(car, 1.0, 1e-3))
+    assert 0 < run.sampled.peak("roll_rate") < 1e-6 * run.sampled.peak("heave_velocity")
+    fastest = max(run.sampled.peak(one.name) for one in run.sampled.signals if one.unit == "m/s")
+    assert run.sampled.scale("roll_rate") == 1e-3 * fastest
+    assert scene_of(run.prediction.input, run.physics, run.qpos).flat, "it is seen from behind"
+    assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
+    gains, units = np.array([[1e-12, 2.0], [0.5, 2.0]]), ("rad/s", "m/s")
+    np.testing.assert_allclose(difference(gains + [1e-12, 0.0], gains, units), [[5e-10, 0.0], [2e-12, 0.0]], rtol=1e-3)
+
+
+def test_a_steady_curve_moves_load_by_its_closed_form():
+    """Springs, bar and tyres in series hold the body, and links, wheels and the body's sway add their moments."""
+    car, a = roll_car(roll_centre_height=0.12, wheel_centre_height=0.3, centre_height=0.6, anti_roll_stiffness=9e3), 0.2 * 9.81
+    ms, mu, b, on_tyres = 600.0, 40.0, 0.48, 2 / (2e5 * 1.5**2)  # rad per N m
+    in_series, by_links = 1 / (2e4 * 1.5**2 / 2 + 9e3) + on_tyres, ms * a * 0.12 + 2 * mu * a * 0.3  # links turn only the axle
+    phi = (ms * a * b * in_series + by_links * on_tyres) / (1 - ms * 9.81 * b * in_series)
+    model, pushed = car.linear_model, Cornering(g=0.2).over(np.array([9.0]), car.parameters, car.kind)
+    rest = np.linalg.solve(model.A, -model.Bl @ [float(pushed.get(name, [0.0])[0]) for name in model.loads])
+    state = dict(zip(model.outputs, model.C @ rest, strict=True))
+    angle = sum(share * state.get(name, 0.0) for name, share in car.kind.angles(car.parameters)["roll_angle"].items())
+    assert angle == pytest.approx(phi, rel=1e-9)
+    moved = 2e5 * state["tyre_deflection_left"]
+    assert moved == pytest.approx((ms * a * 0.6 + 2 * mu * a * 0.3 + ms * 9.81 * b * phi) / 1.5, rel=1e-9)
+    assert state["tyre_deflection_right"] == pytest.approx(-state["tyre_deflection_left"], rel=1e-9)
 
 
 def test_the_third_inertia_hardly_counts(monkeypatch):

@@ -194,7 +194,7 @@ def test_rest_is_that_of_the_free_bodies(name):
     """
     damped = "[parameters]\ntyre_damping_front = 900.0\ntyre_damping_rear = 1400.0"
     half = parse_vehicle(read_vehicle("half_car").text.replace("[parameters]", damped))
-    vehicle = {"quarter_car": read_vehicle("quarter_car"), "half_car": half, "full_car": CAR}[name]
+    vehicle = {"half_car": half, "full_car": CAR}.get(name) or read_vehicle(name)
     p, model, tyres = vehicle.parameters, build_model(vehicle, 1e-3), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -204,10 +204,10 @@ def test_rest_is_that_of_the_free_bodies(name):
     front, rear = (p.get(f"axle_distance_{axle}", 0.5) for axle in ("front", "rear"))
     for tyre, deflection in tyres.items():
         end = tyre.removeprefix("tyre_deflection")
-        axle = end.removesuffix("_left").removesuffix("_right")
-        lever = {"": 1.0, "_front": rear, "_rear": front}[axle] / (front + rear)
-        load, wheel = p["sprung_mass"] * G * lever / max(len(tyres) / 2, 1.0), p[f"unsprung_mass{axle}"]
-        assert deflection * p[f"tyre_stiffness{axle}"] == pytest.approx(load + wheel * G, rel=1e-12)
+        part = axle(end)
+        lever = {"_front": rear, "_rear": front, "": 1.0}.get(part, 0.5) / (front + rear)
+        load, wheel = p["sprung_mass"] * G * lever / max(len(tyres) / 2, 1.0), p[f"unsprung_mass{part}"]
+        assert deflection * p[f"tyre_stiffness{part}"] == pytest.approx(load + wheel * G, rel=1e-12)
         assert data.qacc[model.joint(f"unsprung{end}").dofadr[0]] == pytest.approx(-G - load / wheel, rel=1e-12)
 
 
@@ -230,6 +230,8 @@ ALTERED = [
     ("quarter_car", {"tyre_damping": 150.0}),
     ("half_car", {}),
     ("half_car", {"pitch_centre_height": 0.2, "anti_dive_front": 0.3, "tyre_damping_front": 150.0, "tyre_damping_rear": 90.0}),
+    ("half_car_roll", {"anti_roll_stiffness": 1e4, "unsprung_mass_left": 45.0, "tyre_damping_right": 90.0}),
+    ("half_car_roll", {"centre_offset": 0.1, "roll_centre_height": 0.15, "suspension_stiffness_right": 2e4}),
     ("full_car", {}),
     ("full_car", {"anti_roll_stiffness_front": 2e4, "track_rear": 1.4, "tyre_damping_front": 150.0}),
     ("full_car", {"roll_centre_height_front": 0.1, "roll_centre_height_rear": 0.15, "anti_roll_stiffness_rear": 1e4}),
@@ -248,7 +250,7 @@ def test_equations_follow_from_masses_and_lengths(kind, more):
     own = Mechanism(vehicle, lambda d, v, u: stiffness * d + damping * v - u + 1e3 * np.tanh(30 * d) * v**2)
     rng, n, c = np.random.default_rng(0), own.k + own.c, own.c
     x, z_r, u, w = (rng.uniform(-far, far, (40, size)) for far, size in ((0.05, 2 * n), (0.03, c), (1e3, c), (1.0, c)))
-    wheels = "anti_dive_front" in more or "roll_centre_height_front" in more
+    wheels = "anti_dive_front" in more or any(name.startswith("roll_centre_height") for name in more)
     push = rng.uniform(-1e3, 1e3, (40, own.k + c * wheels))
     assert vehicle.kind.motion is not None
     motion = vehicle.kind.motion(vehicle.kind.at_wheels(p))

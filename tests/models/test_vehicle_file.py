@@ -58,6 +58,10 @@ OF_CARS = [  # vehicle, replaced in its file, by this, what the message says
     ("full_car", '"roll_rate"]', '"tyre_deflection_front_left"]', ["'tyre_deflection_front_left'", "road's height"]),
     ("half_car", "[performance]", "anti_roll_stiffness_front = 1e4\n[performance]", ["only heaves", "use a full_car"]),
     ("full_car", "[performance]", "anti_roll_stiffness = 1e4\n[performance]", ["unknown parameter", "stiffness_front"]),
+    ("half_car_roll", '"roll"', '"yaw"', ["plane = 'yaw'", "'half_car'", "give one of pitch, roll"]),
+    ("quarter_car", "[parameters]", 'plane = "roll"\n[parameters]', ["plane = 'roll'", "'quarter_car'", "omit the line"]),
+    ("half_car_roll", "[performance]", "pitch_inertia = 9\n[performance]", ["only heaves and rolls", "omit plane"]),
+    ("half_car_roll", "[performance]", "centre_offset = 0.8\n[performance]", ["not between the wheels", "0.755 m"]),
 ]
 
 VELOCITY = '[controllers.mine]\nmeasured = ["sprung_velocity"]'

@@ -1,7 +1,8 @@
 """Equations of motion from a mass matrix, potential energy and lengths alone, beside those of the project.
 
-Coordinates are q = (heave, pitch, roll; heights of the hubs). With the lengths L(q) of suspensions, tyres and anti-roll bars,
-their Jacobian J, and the force that pulls the ends of each together, Lagrange's equations are
+Coordinates are q = (heave, pitch, roll; heights of the hubs), without a turn that the body lacks. With the lengths L(q) of
+suspensions, tyres and anti-roll bars, their Jacobian J, and the force that pulls the ends of each together, Lagrange's equations
+are
 
     M q'' = -J' (forces) - M' q' + d(q' M q' / 2) / dq - dV / dq.
 
@@ -22,6 +23,7 @@ STRUT = 0.44  # m, of every strut at rest in the MJCF
 CORNERS = {
     "quarter_car": ("",),
     "half_car": ("_front", "_rear"),
+    "half_car_roll": ("_left", "_right"),
     "full_car": tuple(f"_{axle}_{side}" for axle in ("front", "rear") for side in ("left", "right")),
 }
 Number = np.ndarray | float
@@ -29,8 +31,8 @@ Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (d, v, u)
 
 
 def axle(corner: str) -> str:
-    """The suffix of a corner's axle."""
-    return corner.removesuffix("_left").removesuffix("_right")
+    """The suffix of a corner's parameters: that of its axle, or of its side if all wheels are on one."""
+    return corner.removesuffix("_left").removesuffix("_right") or corner
 
 
 def jacobian(f, q):
@@ -61,6 +63,8 @@ def static_loads(vehicle: Vehicle) -> np.ndarray:
     """Returns the body's weight on each suspension [N], shape (c,)."""
     p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
     reach = np.array([p.get("axle_distance_rear" if "front" in end else "axle_distance_front", 1.0) for end in corners])
+    if "centre_offset" in p:
+        reach = p["track"] / 2 + p["centre_offset"] * np.array([1.0, -1.0])
     return p["sprung_mass"] * G * reach / reach.sum()
 
 
@@ -74,9 +78,9 @@ class Mechanism:
         def each(name):
             return np.array([p.get(f"{name}{axle(end)}", 0.0) for end in corners])
 
-        wide = [p.get(f"track{axle(end)}", p.get("track", 0.0)) / 2 for end in corners]
+        wide = np.array([p.get(f"track{axle(end)}", p.get("track", 0.0)) for end in corners])
         x = each("axle_distance") * [-1 if "rear" in end else 1 for end in corners]
-        y = np.array(wide) * [1 if "left" in end else -1 for end in corners]
+        y = wide / 2 * [1 if "left" in end else -1 for end in corners] - p.get("centre_offset", 0.0)
         mass, at, load = p["sprung_mass"], {"_front": x.max(), "_rear": -x.min()}, static_loads(vehicle)
         arms, rolls = [0.0, 0.0], "roll_centre_height_front" in p
         if pitches := "pitch_centre_height" in p:
@@ -84,13 +88,15 @@ class Mechanism:
         if rolls:
             front, rear = p["roll_centre_height_front"], p["roll_centre_height_rear"]
             arms[1] = p["centre_height"] - (front * at["_rear"] + rear * at["_front"]) / sum(at.values())
+        if "roll_centre_height" in p:
+            arms[1], rolls = p["centre_height"] - p["roll_centre_height"], True
         bars = []
-        for end in ("_front", "_rear"):
+        for end in ("", "_front", "_rear"):
             if k := p.get(f"anti_roll_stiffness{end}", 0.0):
-                bars.append(
-                    (k, np.array([np.sign(b) / (2 * abs(b)) * (axle(one) == end) for one, b in zip(corners, y, strict=True)]))
-                )
-        inertia = [p[name] for name in ("pitch_inertia", "roll_inertia") if name in p]
+                signs = [(1 if "left" in one else -1) * one.startswith(end) for one in corners]
+                bars.append((k, np.array(signs) / wide))
+        self.turns = [i for i, name in enumerate(("pitch_inertia", "roll_inertia"), start=1) if name in p]
+        inertia = [p[("pitch_inertia", "roll_inertia")[i - 1]] for i in self.turns]
         self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
         self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
         self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
@@ -98,19 +104,20 @@ class Mechanism:
 
     def angles(self, q):
         """Returns pitch and roll, shapes (T,)."""
-        return [q[:, i] if i < self.k else np.zeros_like(q[:, 0]) for i in (1, 2)]
+        return [q[:, 1 + self.turns.index(i)] if i in self.turns else np.zeros_like(q[:, 0]) for i in (1, 2)]
 
     def masses(self, q):
         """Returns M, shape (T, n, n). The centre of mass is at (s sin pitch, -b sin roll, z - a + s cos pitch)."""
         (a, b), (theta, phi) = self.arms, self.angles(q)
         M, s = np.zeros((len(q), self.k + self.c, self.k + self.c), dtype=q.dtype), a - b * (1 - np.cos(phi))
         M[:, 0, 0] = self.mass
-        if self.k > 1:
+        if 1 in self.turns:
             M[:, 1, 1] = self.inertia[0] * np.cos(phi) ** 2 + max(self.inertia) * np.sin(phi) ** 2 + self.mass * s**2
             M[:, 0, 1] = M[:, 1, 0] = -self.mass * s * np.sin(theta)
-        if self.k > 2:
-            M[:, 2, 2] = self.inertia[1] + self.mass * b**2
-            M[:, 0, 2] = M[:, 2, 0] = -self.mass * b * np.sin(phi) * np.cos(theta)
+        if 2 in self.turns:
+            i = self.k - 1
+            M[:, i, i] = self.inertia[-1] + self.mass * b**2
+            M[:, 0, i] = M[:, i, 0] = -self.mass * b * np.sin(phi) * np.cos(theta)
         hubs = np.arange(self.k, self.k + self.c)
         M[:, hubs, hubs] = self.unsprung
         return M

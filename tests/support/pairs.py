@@ -23,11 +23,13 @@ Row = Mapping[str, str]  # the level of every feature
 CORNERS = {
     "quarter_car": [""],
     "half_car": ["_front", "_rear"],
+    "half_car_roll": ["_left", "_right"],
     "full_car": ["_front_left", "_front_right", "_rear_left", "_rear_right"],
 }
 VELOCITIES = {
     "quarter_car": ["sprung_velocity"],
     "half_car": ["heave_velocity", "pitch_rate"],
+    "half_car_roll": ["heave_velocity", "roll_rate"],
     "full_car": ["heave_velocity", "pitch_rate", "roll_rate"],
 }
 TABLE = "{ velocity = [-1.5, -0.15, 0, 0.15, 1.5], force = [-1350, -262, 0, 262, 1900] }"
@@ -46,6 +48,7 @@ FEATURES: dict[str, dict[str, str]] = {
         "roll centres": "[parameters]\nroll_centre_height_front = 0.05\nroll_centre_height_rear = 0.1",
         "anti-dive": "[parameters]\nanti_dive_front = 0.3\nanti_squat_rear = 0.2",
         "tracks": "[parameters]\ntrack_front = 1.387\ntrack_rear = 1.364",
+        "bar and roll centre": "[parameters]\nanti_roll_stiffness = 2e4\nroll_centre_height = 0.1",
         "pitch centre": "[parameters]\npitch_centre_height = 0.3",
     },
     "curves": {
@@ -160,11 +163,12 @@ FEATURES: dict[str, dict[str, str]] = {
 LEFT_OUT = {  # levels that a type of vehicle does not have: loads that it does not feel, and designs that take minutes
     "quarter_car": {"brake", "corner", "gust"},
     "half_car": {"corner", "gust"},
+    "half_car_roll": {"brake"},
     "full_car": {"family", "sampled"},
 }
 EITHER = ("type", "law", "command")
 CHEAP = {  # levels that the suite has, of features with others that take long
-    "type": ("quarter_car", "half_car"),
+    "type": ("quarter_car", "half_car", "half_car_roll"),
     "law": tuple(
         law for law in FEATURES["law"] if law not in ("state", "steps", "full", "order", "pi", "lqg", "h2", "band", "bounds")
     ),
@@ -248,7 +252,7 @@ def arguments(row: Row) -> tuple[str, list[str]]:
 @cache
 def _shipped(kind: str) -> dict[str, Any]:
     data = tomllib.loads(read_vehicle(kind).text)
-    return {key: data[key] for key in ("type", "parameters", "performance")}
+    return {key: data[key] for key in ("type", "plane", "parameters", "performance") if key in data}
 
 
 def _matrices(kind: str) -> dict[str, str]:
@@ -278,7 +282,7 @@ def _matrices(kind: str) -> dict[str, str]:
 def vehicle_text(row: Row) -> str:
     """The vehicle file of a row."""
     kind, data = row["type"], json.loads(json.dumps(_shipped(row["type"])))
-    axles = list(dict.fromkeys(re.sub("_(left|right)$", "", corner) for corner in CORNERS[kind]))
+    axles = list(dict.fromkeys(re.sub("_(left|right)$", "", corner) or corner for corner in CORNERS[kind]))
     for feature in IN_FILE:
         lines = FEATURES[feature][row[feature]].splitlines()
         every = [
@@ -291,7 +295,7 @@ def vehicle_text(row: Row) -> str:
     for curve in data.get("curves", ()):
         del data["parameters"][curve]
     sections = {f"controllers.{name}": section for name, section in data.pop("controllers", {}).items()}
-    head = f'type = "{data.pop("type")}"\n'
+    head = "".join(f"{key} = {_toml(data.pop(key))}\n" for key in ("type", "plane") if key in data)
     return head + "".join(
         f"\n[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in section.items())
         for name, section in (data | sections).items()

@@ -19,7 +19,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
-from sim.response.response import SILENT, Response
+from sim.response.response import SILENT, STILL, Response, loudest_alike
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
 from synth.controller.controller import AnyController, has_anti_windup
@@ -120,8 +120,7 @@ def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: fl
     turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
     signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
     lines, energy = turning @ signals, np.mean(signals**2, axis=0)
-    loudest = np.array([max(e for e, u in zip(energy, units, strict=True) if u == unit) for unit in units])
-    moves = energy > SILENT**2 * loudest
+    moves = energy > SILENT**2 * loudest_alike(energy, units, STILL**2)
     inside = np.divide(np.abs(lines) ** 2 / 2, energy, out=np.full(len(energy), np.nan), where=moves)
     return lines / (turning @ response[vehicle.kind.wheels[0].road_velocity]), np.maximum(1 - inside, 0.0)
 

@@ -15,7 +15,7 @@ from models.roads.spectrum import as_met
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
-from sim.response.response import SILENT
+from sim.response.response import SILENT, loudest_alike
 from sim.studies.frequency.describing_function import DescribingFunction
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
 from synth.controller.controller import Controller
@@ -57,8 +57,8 @@ def sweep_figure(
         fine, predicted = drawn_line(vehicle, one.controller, timestep, speed)
         for signal in signals:
             i = one.outputs.index(signal)
-            alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
-            if np.abs(one.sampled[:, i]).max() <= SILENT * np.abs(one.sampled[:, alike]).max():
+            sizes = np.abs(one.sampled).max(axis=0)
+            if sizes[i] <= SILENT * loudest_alike(sizes, one.units)[i]:
                 continue  # no control force, or no roll on a road that is the same on both sides
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])

@@ -31,7 +31,7 @@ from sim.linear.frequency_response import continuous_frequency_response, sampled
 from sim.linear.sampled_response import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
-from sim.response.response import SILENT, Response
+from sim.response.response import SILENT, Response, loudest_alike
 from sim.runs.run import sample_times
 from synth.controller.controller import Controller, check_fits, has_anti_windup
 from synth.controller.loop_of import loop_of, radius
@@ -183,9 +183,7 @@ class Lines:
 def difference(response: Array, reference: Array, units: Sequence[str]) -> Array:
     """Relative difference at every line, shape (F, p). A signal that symmetry keeps silent counts as `Response.scale` says."""
     size = np.abs(reference)
-    same = np.array([[one == other for other in units] for one in units])
-    loudest = np.where(same, size[:, None, :], 0.0).max(axis=-1)
-    scale = np.maximum(size, SILENT * loudest)
+    scale = np.maximum(size, SILENT * loudest_alike(size, units))
     apart = np.abs(response - reference)
     return np.divide(apart, scale, out=np.where(apart > 0, np.inf, 0.0), where=scale > 0)
 

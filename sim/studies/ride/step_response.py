@@ -19,6 +19,7 @@ from models.document.document import Block, Document, Table, notes
 from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
+from sim.response.response import loudest_alike
 from sim.runs.run import Run
 from synth.controller.loop_of import HEIGHT, named
 
@@ -148,9 +149,9 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     model = run.vehicle.linear_model
     finals = dict(zip(model.outputs, (_lasting(run) * step.height).tolist(), strict=True))
     units = {name: run.vehicle.kind.signal(name).unit for name in model.outputs}
-    peaks = {name: float(run.sampled.peak(name)) for name in model.outputs}
-    loudest = {unit: max(peaks[name] for name in units if units[name] == unit) for unit in units.values()}
-    names = tuple(name for name in model.outputs if not peaks[name] <= SILENT * loudest[units[name]])
+    peaks = np.array([run.sampled.peak(name) for name in model.outputs])
+    loudest = loudest_alike(peaks, list(units.values()))
+    names = tuple(name for name, silent in zip(model.outputs, peaks <= SILENT * loudest, strict=True) if not silent)
     from sim.studies.ride.between_samples import exact, sampled  # no other road needs it
 
     routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}

@@ -1,0 +1,76 @@
+"""Half-car in the roll plane: heave and roll of a body on a left and a right wheel, seen from behind.
+
+Its equations: `kinds/rigid_body.py`. Both wheels are in one cross-section, so that no wheel follows another: each has its own
+track of the road. A full car with equal axles at equal distances moves as two of these cars if both axles have the same road.
+"""
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.kinds import links, rigid_body, signals
+from models.kinds.car import Car, lateral
+from models.kinds.kind import Parameter, Parameters, Variation
+from models.kinds.rigid_body import Bar, Corner, RigidBody
+
+SIDES = links.SIDES
+PARAMETERS = (
+    Parameter("sprung_mass", "kg", "m_s, mass of the body on these two wheels", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("roll_inertia", "kg m2", "I_x, roll inertia of this part of the body about its centre of mass"),
+    Parameter("track", "m", "b, distance of left and right wheel", largest=rigid_body.LONGEST),
+    Parameter(
+        "centre_offset", "m", "place of the centre of mass, to the left of the middle", smallest=-5.0, largest=5.0, optional=True
+    ),
+    *rigid_body.of_half_car(SIDES),
+    Parameter(
+        "anti_roll_stiffness",
+        "N m/rad",
+        "k_phi, stiffness of the anti-roll bar: moment per roll angle of the body",
+        positive=False,
+        usual=0.0,
+    ),
+    rigid_body.CENTRE_HEIGHT,
+    links.ROLL_CENTRE,
+    links.WHEEL_CENTRE,
+)
+
+
+def _body(p: Parameters) -> RigidBody:
+    return RigidBody(
+        tuple(Corner.of(p, side, side, lateral(side, p)) for side in SIDES),
+        p["sprung_mass"],
+        None,
+        p["roll_inertia"],
+        tyre_modes=np.eye(2),
+        twist=np.zeros(2),
+        bars=(Bar("axle", 0, 1, p["anti_roll_stiffness"]),),
+        roll_arm=links.arms(p)[1],
+        wheel_loads=links.wheel_loads(p, SIDES),
+    )
+
+
+def check(p: Parameters) -> None:
+    """Refuses an impossible body."""
+    # Published cars of this type often have springs, and so their `track`, far inside the wheels.
+    rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
+    if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
+        raise InputError(
+            f"centre_offset = {offset:g} m is not between the wheels, which are {p['track'] / 2:g} m from the middle; give less"
+        )
+    rigid_body.check_stands(_body(p))
+
+
+KIND = Car(
+    _body,
+    SIDES,
+    tyres=tuple(signals.TYRE_DEFLECTION.at(side) for side in SIDES),
+    rates=(signals.HEAVE_VELOCITY, signals.ROLL_RATE),
+    accelerations=(signals.HEAVE_ACCELERATION, signals.ROLL_ACCELERATION),
+).kind(
+    "half_car_roll",
+    PARAMETERS,
+    check,
+    lacking=dict.fromkeys(
+        ("pitch", "axle_distance", "anti_dive", "anti_lift", "anti_squat"),
+        "a half-car in the roll plane only heaves and rolls: omit plane, or use a full_car",
+    ),
+)
