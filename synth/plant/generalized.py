@@ -1,5 +1,6 @@
 """The plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w; or x[k+1] = ... every dt seconds."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -198,6 +199,18 @@ class Plant:
     def unmeasured(self) -> "Plant":
         """The plant without measurements."""
         return replace(self, Cy=None, Dyu=None, Dyw=None) if len(self.Cy) else self
+
+    @property
+    def plant(self) -> "Plant":
+        """The plant without measurements, as `MeasuredPlant` had it; use the plant itself."""
+        warnings.warn("`plant` goes with the next version; a MeasuredPlant is a plant itself", DeprecationWarning, stacklevel=2)
+        return self.unmeasured
+
+    @property
+    def through(self) -> Array:
+        """The feedthrough Dyu under its name in `MeasuredPlant`."""
+        warnings.warn("`through` goes with the next version; use Dyu", DeprecationWarning, stacklevel=2)
+        return self.Dyu
 
     def rows(self, kept: Sequence[int] | Array) -> "Plant":
         """Returns the plant with some of its measurements, by index or mask."""

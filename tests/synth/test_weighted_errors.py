@@ -62,7 +62,7 @@ def test_up_to_three_blocks_the_bounds_meet(errors, performance):
         found = worst_errors(loop, bound.peak_frequency)
         assert found.mu <= bound.gamma <= found.mu * (1 + MEETS)
         closed = closed_by_errors(loop, found.errors)
-        assert all(abs(one.Dw[0, 0]) <= (1 + 1e-9) / found.mu for one in found.errors)  # an all-pass is as large at infinity
+        assert all(abs(one.D[0, 0]) <= (1 + 1e-9) / found.mu for one in found.errors)  # an all-pass is as large at infinity
         assert closed is None or not is_stable(closed.A) or hinf_norm(closed).value >= found.mu * (1 - 1e-9)  # rounding
 
 
@@ -227,6 +227,6 @@ def test_the_loop_closed_by_errors_is_a_linear_fraction():
         assert closed is not None
         omega = np.array([0.0, 1.0, 30.0])
         for w, M, found in zip(omega, *(one.frequency_response(omega) for one in (loop.loop, closed)), strict=True):
-            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.Bw) + one.Dw)[0, 0] for one in errors])
+            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.B) + one.D)[0, 0] for one in errors])
             whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
             assert np.allclose(found, whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max())
