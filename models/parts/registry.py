@@ -17,6 +17,9 @@ PARTS = {  # name -> module and class
     "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
     "maxwell": "models.parts.elements.maxwell:Maxwell",
     "inerter": "models.parts.elements.inerter:Inerter",
+    "bouc_wen": "models.parts.elements.bouc_wen:BoucWen",
+    "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
+    "dahl": "models.parts.elements.dahl:Dahl",
 }
 
 
