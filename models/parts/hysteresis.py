@@ -15,7 +15,6 @@ decays. So linear analysis has the mode -`DECAY` there, which leaves each respon
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from models.characteristics import LEAVES
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.parts.part import CURVE, Limit, Line, Number, Part
-
-if TYPE_CHECKING:
-    from models.kinds.signals import Signal
 
 DECAY = 100.0  # 1/s
 FAST = 1.0  # m/s, of a damper on a bump: for its largest force, and for how fast its state can be
@@ -78,7 +74,8 @@ class Hysteretic(Part):
     def line(self) -> Line:
         """See `Part.line`, and the mode above; of a friction without its force."""
         line, n = super().line, len(self.states)
-        assert line.of_states is not None and line.rates is not None, "a part with states"
+        assert line.of_states is not None
+        assert line.rates is not None
         of_states, rates = np.array(line.of_states), np.array(line.rates)
         if self.friction:
             of_states[..., -1] = rates[..., n - 1] = rates[..., -1, :] = 0.0
