@@ -858,22 +858,22 @@ def test_dahl_friction_is_that_of_its_owners_simulink_model():
 def test_a_measured_loop():
     """Dahl friction with its owner's values fits a measured loop of a magnetorheological damper with 89 %, peaks within 3 %."""
     d, v, force = np.loadtxt(Path(__file__).with_name("mr_damper_loop.csv"), delimiter=",", skiprows=3).T
-    along, t = CubicHermiteSpline(0.01 * np.arange(len(d)), d / 1e3, v / 1e3), 4e-4 * np.arange(25 * len(d) - 24)
+    along, t = CubicHermiteSpline(0.01 * np.arange(len(d)), d / 1e3, v / 1e3), 4e-4 * np.arange(25 * len(d) - 23)
     part, d, v = element(MR), along(t), along(t, 1)
-    apart = (force - part.pull(d, v, followed(part, d, v, 4e-4))[::25])[60:]
+    apart = (force - part.pull(d, v, followed(part, d, v, 4e-4))[:-1:25])[60:]
     assert 1 - np.linalg.norm(apart) / np.linalg.norm(force[60:] - force[60:].mean()) == pytest.approx(0.893, abs=2e-3)
     assert np.ptp(force[60:] - apart) == pytest.approx(np.ptp(force[60:]), rel=0.03)
 
 
 def test_the_published_magnetorheological_damper():
     """The modified model has the force of the equations of Spencer and others (1997), written in their units: N, cm, s, V."""
-    u, times = 1.5, np.linspace(0.0, 0.1, 8001)
+    u, times = 1.5, np.linspace(0.0, 0.04, 4001)
     alpha, c0, c1, k0, k1 = 140 + 695 * u, 21.0 + 3.5 * u, 283 + 2.95 * u, 46.9, 5.0
     section = f"""kind = "modified_bouc_wen"\nalpha = 14e3\nalpha_per_volt = 69.5e3\nc0 = 2100.0\nc0_per_volt = 350.0
 c1 = 28300.0\nc1_per_volt = 295.0\nk0 = 4690.0\nk1 = 500.0\ngamma = 3.63e6\nbeta = 3.63e6\nA = 301.0\nvoltage = {u}"""
 
     def path(t):
-        return 1.5e-2 * np.sin(16 * t) + 2e-3 * np.sin(71 * t), 0.24 * np.cos(16 * t) + 0.142 * np.cos(71 * t)
+        return 0.01 * (1 - np.cos(20 * t)) - 2e-3 * np.sin(50 * t) ** 2, 0.2 * np.sin(20 * t) - 0.1 * np.sin(100 * t)
 
     def speed(t, y, z):
         x, rate = (100 * one for one in path(t))
@@ -884,7 +884,7 @@ c1 = 28300.0\nc1_per_volt = 295.0\nk0 = 4690.0\nk1 = 500.0\ngamma = 3.63e6\nbeta
         slip = 100 * path(t)[1] - speed(t, y, z)
         return [speed(t, y, z), -363 * abs(slip) * z * abs(z) - 363 * slip * abs(z) ** 2 + 301 * slip]
 
-    y, z = solve_ivp(rates, (0.0, 0.1), [0.0, 0.0], "Radau", times, rtol=1e-9, atol=1e-11).y
+    y, z = solve_ivp(rates, (0.0, 0.04), [0.0, 0.0], "Radau", times, rtol=1e-9, atol=1e-11).y
     force = c1 * speed(times, y, z) + k1 * 100 * path(times)[0]
     part = element(section)
     found = part.pull(*path(times), followed(part, *path(times), times[1]))
