@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import rough
 from models.common.schema import SI, Flag, Section
 from models.kinds.signals import Signal
 from models.parts.hysteresis import FAST, Hysteretic
@@ -24,8 +25,8 @@ class BoucWen(Hysteretic, Section):
     states = (Signal("hysteresis", "z", "m", "hysteretic displacement"),)
 
     alpha: Annotated[float, SI("N/m", "force per hysteretic displacement z", 0.0)]
-    beta: Annotated[float, SI("m^-n", "factor of |v| |z|^(n-1) z in the rate of z")]
-    gamma: Annotated[float, SI("m^-n", "factor of v |z|^n in the rate of z", -1e12)]
+    beta: Annotated[float, SI("1", "factor of |v| |z|^(n-1) z in the rate of z, in m^-n")]
+    gamma: Annotated[float, SI("1", "factor of v |z|^n in the rate of z, in m^-n", -1e12)]
     A: Annotated[float, SI("1", "rate of z over the velocity v at z = 0")] = 1.0
     exponent: Annotated[float, SI("1", "n, sharpness of yield", 1.0, 100.0)] = 1.0
     k0: Annotated[float, SI("N/m", "stiffness parallel to the hysteresis", 0.0)] = 0.0
@@ -60,4 +61,4 @@ class BoucWen(Hysteretic, Section):
 
     @property
     def words(self) -> str:
-        return f"Bouc-Wen hysteresis with a force of up to {self._now[0] * self.z_max:.4g} N"
+        return f"Bouc-Wen hysteresis with a force of up to {rough(self._now[0] * self.z_max)} N"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from models.common.arrays import Array
+from models.common.printed import rough
 from models.common.schema import SI, Section
 from models.kinds.signals import Signal
 from models.parts.hysteresis import FAST, Hysteretic
@@ -54,4 +55,4 @@ class Dahl(Hysteretic, Section):
 
     @property
     def words(self) -> str:
-        return f"a damper with Dahl friction of {self._now[0]:.4g} N"
+        return f"a damper with Dahl friction of {rough(self._now[0])} N"

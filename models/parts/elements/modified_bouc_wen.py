@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import rough
 from models.common.schema import SI, Section
 from models.kinds.signals import Signal
 from models.parts.hysteresis import FAST, Hysteretic
@@ -35,8 +36,8 @@ class ModifiedBoucWen(Hysteretic, Section):
     c0: Annotated[float, SI("N s/m", "damping parallel to the hysteresis", 0.0)]
     c1: Annotated[float, SI("N s/m", "damping of the dashpot in series")]
     k0: Annotated[float, SI("N/m", "stiffness parallel to the hysteresis")]
-    gamma: Annotated[float, SI("m^-n", "factor of |v - y'| |z|^(n-1) z in the rate of z")]
-    beta: Annotated[float, SI("m^-n", "factor of (v - y') |z|^n in the rate of z", -1e12)]
+    gamma: Annotated[float, SI("1", "factor of |v - y'| |z|^(n-1) z in the rate of z, in m^-n")]
+    beta: Annotated[float, SI("1", "factor of (v - y') |z|^n in the rate of z, in m^-n", -1e12)]
     A: Annotated[float, SI("1", "rate of z over v - y' at z = 0")]
     exponent: Annotated[float, SI("1", "n, sharpness of yield", 1.0, 100.0)] = 2.0
     k1: Annotated[float, SI("N/m", "stiffness of the accumulator", 0.0)] = 0.0
@@ -77,4 +78,4 @@ class ModifiedBoucWen(Hysteretic, Section):
 
     @property
     def words(self) -> str:
-        return f"a magnetorheological damper with a hysteretic force of up to {self._now[0] * self.z_max:.4g} N"
+        return f"a magnetorheological damper with a hysteretic force of up to {rough(self._now[0] * self.z_max)} N"
