@@ -24,7 +24,7 @@ from models.common.errors import InputError
 from models.parts.part import CURVE, Limit, Line, Number, Part
 
 DECAY = 100.0  # 1/s
-FAST = 1.0  # m/s, of a damper on a bump: for its largest force, and for how fast its state can be
+FAST, FASTEST = 1.0, 2.0  # m/s, of a damper: for its largest force, and for how fast its state can be
 
 
 class Hysteretic(Part):
@@ -86,7 +86,8 @@ class Hysteretic(Part):
 
     @property
     def kinked_at_rest(self) -> bool:
-        return self.friction
+        """True: the rate of z bends with the sign of the velocity, at any motion."""
+        return True
 
     @property
     def range(self) -> float:
@@ -100,4 +101,4 @@ class Hysteretic(Part):
     def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """See `Part.fastest`: as z approaches its limit, or as it returns from there."""
         _, b, g, n = self.law
-        return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FAST)
+        return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FASTEST)

@@ -98,7 +98,7 @@ class RunResult:
         """Largest difference of the linearisation at equilibrium from MuJoCo, over MuJoCo's peak, by signal.
 
         It is measured until linear analysis ends otherwise, and empty for a vehicle without characteristics, or without a sampled
-        response. States of frictions, which the linearisation leaves out, do not count.
+        response. States of parts that bend at rest do not count.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}
