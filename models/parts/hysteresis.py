@@ -95,7 +95,7 @@ class Hysteretic(Part):
 
     def limits(self) -> Sequence[Limit]:
         """Returns the force beyond the line of `LEAVES` of the largest one."""
-        return (Limit(CURVE, "force", 0.0, LEAVES * self.range),)
+        return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.range else ()
 
     @property
     def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]

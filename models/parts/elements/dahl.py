@@ -21,7 +21,7 @@ class Dahl(Hysteretic, Section):
     """Damper with Dahl friction."""
 
     states = (Signal("friction", "w", "1", "friction relative to its largest"),)
-    friction: ClassVar[bool] = True
+    friction: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleVariableOverride]
 
     force: Annotated[float, SI("N", "f, largest friction", 0.0)]
     rho: Annotated[float, SI("1/m", "rate of w over the velocity at w = 0")]

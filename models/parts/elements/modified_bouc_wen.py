@@ -30,7 +30,7 @@ class ModifiedBoucWen(Hysteretic, Section):
         Signal("dashpot_extension", "y", "m", "extension of the dashpot c1"),
         Signal("hysteresis", "z", "m", "hysteretic displacement"),
     )
-    friction: ClassVar[bool] = True
+    friction: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleVariableOverride]
 
     alpha: Annotated[float, SI("N/m", "force per hysteretic displacement z", 0.0)]
     c0: Annotated[float, SI("N s/m", "damping parallel to the hysteresis", 0.0)]
