@@ -114,6 +114,7 @@ class Part(ABC):
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
     stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
     argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
+    fastest: ClassVar[float] = 0.0  # largest rate of its own states at 2 m/s [1/s], if it grows with the velocity
     native: ClassVar[bool] = False  # True if `write` has a form native to MuJoCo for what is beyond the line
 
     @abstractmethod

@@ -62,7 +62,7 @@ class AtRatio(Part):
     load: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("states", "inputs", "argument", "contact", "stores"):
+        for name in ("states", "inputs", "argument", "contact", "stores", "fastest"):
             object.__setattr__(self, name, getattr(self.part, name))
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:

@@ -18,6 +18,9 @@ PARTS = {  # name -> module and class
     "gas_spring": "models.parts.elements.gas_spring:GasSpring",
     "maxwell": "models.parts.elements.maxwell:Maxwell",
     "inerter": "models.parts.elements.inerter:Inerter",
+    "bouc_wen": "models.parts.elements.bouc_wen:BoucWen",
+    "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
+    "dahl": "models.parts.elements.dahl:Dahl",
 }
 
 

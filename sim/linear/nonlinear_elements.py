@@ -8,8 +8,8 @@ from models.vehicle.vehicle import Vehicle
 
 
 def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the parameters whose curves are not straight about rest, in the order of the suspensions."""
-    return tuple(dict.fromkeys(fitted.name for fitted in vehicle.parts.with_curve if fitted.part.kinked_at_rest))
+    """Returns the names of parts that are not straight about rest, in the order of the suspensions."""
+    return tuple(dict.fromkeys(fitted.name for fitted in vehicle.parts if fitted.part.kinked_at_rest))
 
 
 def at_rest(vehicle: Vehicle) -> Vehicle:
@@ -24,5 +24,5 @@ def at_rest_words(vehicle: Vehicle) -> str:
         phrases.append("force actuators instead of the adjustable dampers, so that every requested force acts")
     if bent:
         whose = " and ".join(name.replace("_", " ") for name in bent)
-        phrases.append(f"straight lines instead of the curves of {whose}, which have a kink at equilibrium")
+        phrases.append(f"straight lines instead of the characteristics of {whose}, which have a kink at equilibrium")
     return f"Here, MuJoCo has {' and '.join(phrases)}" if phrases else ""

@@ -392,10 +392,10 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 def largest_timestep(vehicle: Vehicle) -> float:
     """Returns the step [s] above which RK4 is unstable on the vehicle without control, to 1 %; infinite if nothing moves.
 
-    Adjustable dampers count at their softest and hardest, and with the lag of their valves.
+    Adjustable dampers count at their softest and hardest, and with the lag of their valves; states of parts at their fastest.
     """
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
-    systems = [A]
+    systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
     if vehicle.dampers:
         from models.parts.damper_range import range_of
         from sim.linear.dampers import stretching

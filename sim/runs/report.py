@@ -104,7 +104,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
                 "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)}
-                | ({"linearisation": finite(run.line_errors[name])} if run.line_errors else {}),
+                | ({"linearisation": finite(run.line_errors[name])} if name in run.line_errors else {}),
             }
             for name, signal in agreement.signals.items()
         },

@@ -98,13 +98,15 @@ class RunResult:
         """Largest difference of the linearisation at equilibrium from MuJoCo, over MuJoCo's peak, by signal.
 
         It is measured until linear analysis ends otherwise, and empty for a vehicle without characteristics, or without a sampled
-        response.
+        response. States of parts that bend at rest do not count.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}
         line, physics = (one.until(self.agreement.until) for one in (line, self.physics))
+        left_out = {one.name for fitted in self.vehicle.parts if fitted.part.kinked_at_rest for one in fitted.states}
+        names = [name for name in self.agreement.signals if name not in left_out]
         with np.errstate(over="ignore", invalid="ignore"):  # of an unstable line
-            apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in self.agreement.signals}
+            apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in names}
             return {name: one / (physics.scale(name) or 1.0) for name, one in apart.items()}
 
     @property

@@ -95,11 +95,13 @@ def sample_times(vehicle: Vehicle, duration: Time, timestep: Time) -> Array:
                 "smaller timestep or bandwidth"
             )
         own = {one.name: one.part.line.rates[:, : len(one.states)] for one in vehicle.parts if one.part.line.rates is not None}
-        fastest = {name: float(np.abs(np.linalg.eigvals(rates)).max()) for name, rates in own.items()}
+        slow = {name: float(np.abs(np.linalg.eigvals(rates)).max()) for name, rates in own.items()}
+        fastest = slow | {one.name: one.part.fastest for one in vehicle.parts if one.part.fastest > slow.get(one.name, 0.0)}
         if fastest and (rate := max(fastest.values())) * largest > RK4_REACH:
             name = max(fastest, key=lambda one: fastest[one])
             raise InputError(
-                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of {rate:.4g} 1/s; "
+                f"timestep = {timestep} s is too large: {above}, because a state of [parts.{name}] has a rate of {rate:.4g} 1/s"
+                f"{' at 2 m/s' * (rate > slow.get(name, 0.0))}; "
                 f"give a smaller timestep, or numbers of a slower element in [parts.{name}]"
             )
         units = ", and check that masses are in kg, stiffness in N/m and damping in N s/m"

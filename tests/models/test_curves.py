@@ -443,7 +443,9 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (slope of the whole curve: 666.7 to 1750)."
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
-    said = "Here, MuJoCo has straight lines instead of the curves of suspension damping, which have a kink at equilibrium"
+    said = (
+        "Here, MuJoCo has straight lines instead of the characteristics of suspension damping, which have a kink at equilibrium"
+    )
     assert at_rest_words(rough) == said
     controller = [design(rough, "I")]
     off, near = (

@@ -142,7 +142,7 @@ def test_a_key(section, name, key):
     if isinstance(key, BySignal):
         (signal, *_) = CONTEXT[key.names]
         line({"colour": 1.0}, rf"^\[here\] {name}: unknown \w+ 'colour'; give one of {signal}")
-        for wrong in (key.low - 1, math.nan, True, "3 A"):
+        for wrong in (key.low - 1, math.nan, True, "3 K"):
             line({signal: wrong}, rf"^\[here.{name}\] {signal} = .*(give a number from|is expected)")
 
 
@@ -162,7 +162,7 @@ def test_numbers(section, name, key):
         cases.append((True, rf"{name}\S* = True is not (allowed; give an? |a number; give a )\w+"))
     if isinstance(number, SI) and number.unit:
         expected = f"a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
-        cases.append(("3 A", rf"{name}\S* = '3 A' has the unknown unit 'A', but {expected}"))
+        cases.append(("3 K", rf"{name}\S* = '3 K' has the unknown unit 'K', but {expected}"))
         cases.append(("0,5 A", rf"{name}\S* = '0,5 A' has a decimal comma; write a decimal point"))
     if unit:
         cases.append(("3", rf"{name}\S* = '3' has no unit; add the unit, as in \"1.5{unit}\", or omit the quotes"))
@@ -187,7 +187,7 @@ def test_a_text(kind, choose):
             for value, said in (
                 ("deep", f"= 'deep' is not a number; give a number in {key.unit}, or a number with its unit"),
                 ("-1e9", f"= -1000000000.0 is not allowed; give {a_number}"),
-                ("3 A", f"= '3 A' has the unknown unit 'A', but a unit of {key.unit} is expected"),
+                ("3 K", f"= '3 K' has the unknown unit 'K', but a unit of {key.unit} is expected"),
                 (f"1:{name}=2", "is given twice, as '1' and as '2'; give it once"),
             ):
                 with refused(match=rf"^(road|load) '{kind}:{name}=.*': {name} {said}"):
@@ -203,7 +203,7 @@ def test_a_parameter(name):
     for one in known.parameters:
         value = right.get(one.name, one.number.high)
         assert known.check_each({**right, one.name: f"{value!r} {one.unit}"})[one.name] == value
-        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, 10**400, "3 A", "a\nb"):
+        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, 10**400, "3 K", "a\nb"):
             allowed = rf"give a number (from|in)|but a (pure number|unit of {one.unit}) is expected"
             with refused(match=rf"^{one.name} = .*({allowed})"):
                 known.check_each({**right, one.name: wrong})

@@ -21,6 +21,7 @@ from tests.support.commands import main_of, refused
 
 run: Any = sim.run  # with texts for numbers
 KNOWN = [  # from the constants of scipy
+    ("250 mV", "V", 0.25), ("1.83 N/cm/V", "N/m/V", 183.0), ("5 mA", "A", 5e-3),
     ("5 bar", "Pa", 5e5), ("0.5 MPa", "Pa", 5e5), ("2 psi", "Pa", 2 * constants.psi), ("1.2 litres", "m3", 1.2 * constants.liter),
     ("90 km/h", "m/s", 90 * constants.kmh), ("60mph", "m/s", 60 * constants.mph), ("100 kph", "m/s", 100 * constants.kmh),
     ("70 mm", "m", 70 * constants.milli), ("3 in", "m", 3 * constants.inch), ("2 ft", "m", 2 * constants.foot),

@@ -52,7 +52,7 @@ class MinimumLoad:
         omega: frequency of the minimum [rad/s].
         driven: prediction at the neighbouring frequency that MuJoCo drives, before it is cut at 0.
         measured: minimum at that frequency in MuJoCo.
-        allowed: difference that is allowed; infinite if a damper or spring has a curve, as the prediction is for its line.
+        allowed: difference that is allowed; infinite if a force differs from its line, as the prediction is for the line.
         ended: ends of the linear regime.
     """
 
@@ -144,7 +144,8 @@ def _load(
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
     ended = ended_by(vehicle, run, has_anti_windup(controller))
-    if ended or vehicle.parts.with_curve:
+    bends = bool(vehicle.parts.with_curve) or vehicle.parts.nonlinear
+    if ended or bends:
         (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)
         measured = max(0.0, 1 - float(limit.of(run)[-samples:].max()) / static[tyre])
     else:
@@ -153,9 +154,7 @@ def _load(
         if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
             carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])
         measured = 1 - float(np.abs(carried)) / static[tyre]
-    allowed = (
-        math.inf if vehicle.parts.with_curve else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
-    )
+    allowed = math.inf if bends else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
     peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
     return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
 
