@@ -37,6 +37,7 @@ MANY = 3  # pairs of margins that a sentence lists in full; of more, the smalles
 FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
+SHARE = Field[float]("direct feedback", float, ".4g")
 EXACT = 1e-9  # relative to the distance from 1: of a factor at which the loop becomes unstable
 
 
@@ -67,7 +68,7 @@ class LawMargins:
         if self.direct_feedback < 1:
             return ""
         return (
-            f"the measurements contain {self.direct_feedback:.4g} times the law's own force at once, which grows from sample to "
+            f"the measurements contain {SHARE.digits(self.direct_feedback)} times the law's own force at once, which grows from sample to "
             "sample"
         )
 
@@ -143,7 +144,7 @@ def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
 
 def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
     """Returns a warning about laws that cannot be sampled because of their direct feedback."""
-    times = [f"{as_name(name)} {one.direct_feedback:.4g} times" for name, one in margins.items() if one.own_force]
+    times = [f"{as_name(name)} {SHARE.digits(one.direct_feedback)} times" for name, one in margins.items() if one.own_force]
     text = (
         f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. Sampled or late, the force "
         "grows from sample to sample; lower the gain on accelerations, or filter them."
