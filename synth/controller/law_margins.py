@@ -67,10 +67,8 @@ class LawMargins:
         """The direct feedback of a law that cannot be sampled, in words; empty for other laws."""
         if self.direct_feedback < 1:
             return ""
-        return (
-            f"the measurements contain {SHARE.digits(self.direct_feedback)} times the law's own force at once, which grows from sample to "
-            "sample"
-        )
+        times = SHARE.digits(self.direct_feedback)
+        return f"the measurements contain {times} times the law's own force at once, which grows from sample to sample"
 
     @property
     def instability(self) -> str:
