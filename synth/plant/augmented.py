@@ -116,7 +116,8 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         return gain(above[0] / below[0] if len(above) else 0.0)
     from scipy.signal import tf2ss  # half a second
 
-    return StateSpace(*(np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below)))
+    A, B, C, D = (np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below))
+    return StateSpace(A, B, C, D)
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
@@ -139,9 +140,9 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """StateSpaces beside each other: the inputs of all, and the outputs of all, in their order."""
-    A, B, C, D = ([getattr(system, name) for system in systems] for name in "ABCD")
-    return StateSpace(*(_diagonal(parts) for parts in (A, B, C, D)))
+    """Systems beside each other: the inputs of all, and the outputs of all, in their order."""
+    A, B, C, D = (_diagonal([getattr(system, name) for system in systems]) for name in "ABCD")
+    return StateSpace(A, B, C, D)
 
 
 def generalized(system: StateSpace, disturbances: int, controlled: int) -> tuple[GeneralizedPlant, Array, Array]:
