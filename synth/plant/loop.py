@@ -218,8 +218,8 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
     d = d.reshape(*runs, K, P, len(names))
     at_sample, by_step = d[..., 0, :], d[..., outside]
     push = at_sample @ system.B[:, columns].T
+    Phi, Gamma = loop.held(loop.step or 0.0)
     if P > 1:  # what disturbances do as they change within the period
-        Phi, Gamma = loop.held(loop.step or 0.0)
         more, into = np.zeros_like(push[..., :n]), Gamma[:, columns[outside]].T
         for i in range(1, P):
             more = more @ Phi.T + (by_step[..., i, :] - by_step[..., 0, :]) @ into

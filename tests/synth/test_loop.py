@@ -30,7 +30,8 @@ def drawn_loop(seed: int) -> Loop:
     noise = tuple(f"noise{i}" for i in range(q))
     plant = StateSpace(A, np.hstack([B, E]), C, np.hstack([D, F]), (*forces, "road", "load"), (*measured, "z0", "z1"))
     plant = plant.with_inputs(noise, np.zeros((len(A), q)), np.eye(q + 2, q))
-    law = LinearLaw(*(0.4 * rng.standard_normal(shape) for shape in ((k, k), (k, q), (m, k), (m, q))))
+    own, reading, force, direct = (0.4 * rng.standard_normal(shape) for shape in ((k, k), (k, q), (m, k), (m, q)))
+    law = LinearLaw(own, reading, force, direct)
     if kind == "continuous":
         return Loop(plant, replace(law, A=law.A - 2 * np.eye(k)), measured, forces)
     steps = 1 if kind == "every step" else int(rng.integers(2, 6))
@@ -60,7 +61,7 @@ class Simulation:
             added: what adds to the requested forces at samples, shape (T, m).
         """
         (x, kept, before, *queue, _), rows = np.split(start, self.sizes), []
-        plant, law, requested, seen = self.loop.plant, self.law, None, None
+        plant, law, requested, seen = self.loop.plant, self.law, np.zeros(self.m), kept
         for i, (now, more) in enumerate(zip(d, added, strict=True)):
             if i % len(self.lates) == 0:
                 y = (plant.C @ x + plant.D @ np.concatenate([before, now]))[self.rows]
