@@ -13,21 +13,22 @@ TIME = {"s": 1.0, "ms": 1e-3}
 VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
 FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
 MOMENT = {"N m": 1.0, "kN m": 1e3}
-# Sizes in SI, by powers of kg, m, s and A. Angles are numbers, so a frequency of 1 Hz is 2 pi rad/s.
-SIZES: Mapping[tuple[int, int, int, int], Mapping[str, float]] = {
-    (1, 0, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
-    (0, 1, 0, 0): LENGTH,
-    (0, 0, 1, 0): TIME | {"min": 60.0, "h": 3600.0},
-    (0, 1, -1, 0): {"mph": 0.44704},
-    (0, 1, -2, 0): {"g": 9.80665, "mg": 9.80665e-3},
-    (1, 1, -2, 0): FORCE | {"kgf": 9.80665},
-    (1, 2, -2, 0): {"J": 1.0},
-    (1, -1, -2, 0): {"Pa": 1.0, "bar": 1e5, "psi": 6894.757293168361},
-    (0, 3, 0, 0): {"l": 1e-3},
-    (0, 0, 0, 1): {"A": 1.0},
-    (1, 2, -3, -1): {"V": 1.0},
-    (0, 0, -1, 0): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
-    (0, 0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
+# Sizes in SI, by powers of kg, m, s, A and K. Angles are numbers, so a frequency of 1 Hz is 2 pi rad/s.
+SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
+    (1, 0, 0, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
+    (0, 1, 0, 0, 0): LENGTH,
+    (0, 0, 1, 0, 0): TIME | {"min": 60.0, "h": 3600.0},
+    (0, 1, -1, 0, 0): {"mph": 0.44704},
+    (0, 1, -2, 0, 0): {"g": 9.80665, "mg": 9.80665e-3},
+    (1, 1, -2, 0, 0): FORCE | {"kgf": 9.80665},
+    (1, 2, -2, 0, 0): {"J": 1.0},
+    (1, -1, -2, 0, 0): {"Pa": 1.0, "bar": 1e5, "psi": 6894.757293168361},
+    (0, 3, 0, 0, 0): {"l": 1e-3},
+    (0, 0, 0, 1, 0): {"A": 1.0},
+    (0, 0, 0, 0, 1): {"K": 1.0},
+    (1, 2, -3, -1, 0): {"V": 1.0},
+    (0, 0, -1, 0, 0): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
+    (0, 0, 0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
 }
 WORDS: Mapping[str, str] = {  # other names of units, in small letters
     **{f"{prefix}{word}": f"{short}m" for prefix, short in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
@@ -125,8 +126,8 @@ def _example(unit: str) -> str:
 
 
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns the size of a unit in SI and its powers of kg, m, s and A; None if it is unknown. All behind a slash divides."""
-    size, powers = Fraction(1), (0, 0, 0, 0)
+    """Returns the size of a unit in SI and its powers of kg, m, s, A and K; None if it is unknown. All behind a slash divides."""
+    size, powers = Fraction(1), (0, 0, 0, 0, 0)
     text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))  # as in N/(m/s)
     for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
         for factor in part.split():

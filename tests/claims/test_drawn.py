@@ -56,9 +56,10 @@ class Drawing:
 def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
     """A vehicle, the name of its controller, a road with loads as text, the speed over it [m/s], and a stable timestep [s]."""
     draw = Drawing(seed)
-    kind = list(CORNERS)[seed % 3]
+    kind = list(CORNERS)[seed % len(CORNERS)]
     corners, body = CORNERS[kind], VELOCITIES[kind][0]
     axles = list(dict.fromkeys(corner.removesuffix("_left").removesuffix("_right") for corner in corners))
+    axles = corners if kind == "half_car_roll" else axles
     whole, step = draw.scale(75.0, 12500.0), draw.scale(1e-4, 1e-2)  # kg of a corner, s
     wheel = whole * draw.number(0.04, 0.25)
     mass = whole - wheel
@@ -77,10 +78,10 @@ def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
                 curves[f"suspension_{name}{axle}"] = draw.curve(over, far, value)
             else:
                 parameters[f"suspension_{name}{axle}"] = value
-    if kind != "quarter_car":
+    if kind in ("half_car", "full_car"):
         front, rear = (parameters.setdefault(f"axle_distance{axle}", draw.number(1.0, 2.5)) for axle in axles)
         parameters["pitch_inertia"] = parameters["sprung_mass"] * front * rear * draw.number(0.7, 1.2)
-    if kind == "full_car":
+    if kind in ("half_car_roll", "full_car"):
         track = draw.number(1.2, 2.2)
         parameters |= {"track": track, "roll_inertia": parameters["sprung_mass"] * track**2 / 4 * draw.number(0.4, 1.0)}
     weight = 9.81 * mass
@@ -137,7 +138,7 @@ def drawn(seed: int, folder: Path) -> tuple[Vehicle, str, str, float, float]:
 def road(draw: Drawing, kind: str, mass: float) -> tuple[str, float]:
     """A low or a high obstacle, or a rough road, with or without loads; and the speed over it [m/s]."""
     height, speed = draw.scale(0.001, 0.2), draw.number(3, 35)
-    track = ":track=left" if kind == "full_car" and draw.chance(0.5) else ""
+    track = ":track=left" if kind in ("half_car_roll", "full_car") and draw.chance(0.5) else ""
     text = draw.one_of(
         f"bump:height={height}:length={draw.number(0.5, 10)}{track}",
         f"iso8608:class={draw.one_of(*'ABCDE')}",
@@ -152,7 +153,8 @@ def road(draw: Drawing, kind: str, mass: float) -> tuple[str, float]:
         f"corner:g={draw.number(0.05, 0.4)}:start=0.05",
         f"gust:force={draw.number(0.05, 0.3) * 9.81 * mass:.4g}:start=0.05:rise=0.1:hold=0.1",
     )
-    some = [one for one in loads[: len(CORNERS[kind])] if draw.chance(0.25 if text != "flat" else 0.7)]
+    loads = (loads[0], *loads[2:]) if kind == "half_car_roll" else loads[: len(CORNERS[kind])]
+    some = [one for one in loads if draw.chance(0.25 if text != "flat" else 0.7)]
     return " + ".join([text, *some]), speed
 
 

@@ -82,7 +82,8 @@ def test_unknown_kind_is_named(hopper):
     """A vehicle file whose kind lies nowhere says what is known, and where another would be looked for."""
     hopper.write_text(hopper.read_text().replace('"hopper"', '"hoper"'))
     with pytest.raises(
-        ValueError, match=r"unknown vehicle type 'hoper'; known: full_car, half_car, hopper, quarter_car.*hoper\.py"
+        ValueError,
+        match=r"unknown vehicle type 'hoper'; known: full_car, half_car, half_car_roll, hopper, quarter_car.*hoper\.py",
     ):
         read_vehicle(hopper)
 

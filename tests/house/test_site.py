@@ -119,7 +119,7 @@ def test_every_key_has_an_entry_and_a_page(made):
     """The page of keys has every section and every key, with a page that uses the key or a sentence on it."""
     text = made["reference/vehicle-file"]
     sections = generate.key_sections()
-    assert all(any(name in heading for heading in sections) for name in SECTIONS[1:])
+    assert all(any(name in heading for heading in sections) for name in SECTIONS if name not in ("type", "plane"))
     assert {*keys(ControllerSection)} == {key for key, *_ in sections["[controllers.NAME]"]}
     assert {*keys(ImplementationSection)} == {key for key, *_ in sections["[implementation]"]}
     bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]

@@ -42,6 +42,10 @@ IN_PYTHON = [*OBSTACLES.values(), *LOADS.values(), Iso8608]  # which also check 
 ELEMENTS = {
     one: {key: max(each.low, 1.0) for key, each in keys(one).items() if isinstance(each, SI)} for one in element_kinds().values()
 }
+EXCLUSIVE = ("load", "pressure")  # of a gas spring, as the first or the second is given
+for _right in ELEMENTS.values():
+    if {*EXCLUSIVE} <= {*_right}:
+        del _right[EXCLUSIVE[1]]
 SECTIONS = {  # each with a table that is right
     ImplementationSection: {"sample_period": 0.01},
     LimitsSection: {"actuator_force": 100.0},
@@ -99,6 +103,12 @@ def wrapped(key: Key, value: object) -> object:
     return [wrapped(key.each, value)] * key.least if isinstance(key, Listed) else value
 
 
+def table(section: type, name: str, value: object) -> dict[str, object]:
+    """The right table of a section with another value of a key, without the key that excludes it."""
+    out = EXCLUSIVE if name in EXCLUSIVE else ()
+    return {**{other: each for other, each in SECTIONS[section].items() if other not in out}, name: value}
+
+
 def test_every_section_is_here():
     """Every section of the project is in the table, but for what is made in Python alone."""
     assert {one for one in sections() if not one.__module__.startswith("tests")} - {*SECTIONS} == {ControllerEntry, Limits}
@@ -128,7 +138,7 @@ def test_a_key(section, name, key):
 
     def line(wrong, match):
         with refused(match=match):
-            read("[here]", section, {**SECTIONS[section], name: wrong}, **CONTEXT)
+            read("[here]", section, table(section, name, wrong), **CONTEXT)
 
     others = [1.5] if isinstance(key, Flag) else [] if "boolean" in str(key.json) else [True]
     for wrong in ([[]], *others, *[{"colour": []}] * (not isinstance(key, AnyTable))):
@@ -142,7 +152,7 @@ def test_a_key(section, name, key):
     if isinstance(key, BySignal):
         (signal, *_) = CONTEXT[key.names]
         line({"colour": 1.0}, rf"^\[here\] {name}: unknown \w+ 'colour'; give one of {signal}")
-        for wrong in (key.low - 1, math.nan, True, "3 K"):
+        for wrong in (key.low - 1, math.nan, True, "3 cd"):
             line({signal: wrong}, rf"^\[here.{name}\] {signal} = .*(give a number from|is expected)")
 
 
@@ -151,7 +161,7 @@ def test_numbers(section, name, key):
     """A number has a range, which the message names, and may have its unit; no other value, and no other unit, is read."""
     (number,) = [one for one in of_each(key) if isinstance(one, SI | Integer)]
     unit = f" {number.unit}" if number.unit not in ("", "1") else ""
-    ways = [(r"^\[here\] ", lambda wrong: read("[here]", section, {**SECTIONS[section], name: wrapped(key, wrong)}, **CONTEXT))]
+    ways = [(r"^\[here\] ", lambda wrong: read("[here]", section, table(section, name, wrapped(key, wrong)), **CONTEXT))]
     if section in IN_PYTHON:
         ways.append((r"^\w+ ", lambda wrong: section(**{name: wrong})))
     numbers = [number.low - max(1, -number.low), math.nan, 10**400, -math.inf]
@@ -162,7 +172,7 @@ def test_numbers(section, name, key):
         cases.append((True, rf"{name}\S* = True is not (allowed; give an? |a number; give a )\w+"))
     if isinstance(number, SI) and number.unit:
         expected = f"a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
-        cases.append(("3 K", rf"{name}\S* = '3 K' has the unknown unit 'K', but {expected}"))
+        cases.append(("3 cd", rf"{name}\S* = '3 cd' has the unknown unit 'cd', but {expected}"))
         cases.append(("0,5 A", rf"{name}\S* = '0,5 A' has a decimal comma; write a decimal point"))
     if unit:
         cases.append(("3", rf"{name}\S* = '3' has no unit; add the unit, as in \"1.5{unit}\", or omit the quotes"))
@@ -187,7 +197,7 @@ def test_a_text(kind, choose):
             for value, said in (
                 ("deep", f"= 'deep' is not a number; give a number in {key.unit}, or a number with its unit"),
                 ("-1e9", f"= -1000000000.0 is not allowed; give {a_number}"),
-                ("3 K", f"= '3 K' has the unknown unit 'K', but a unit of {key.unit} is expected"),
+                ("3 cd", f"= '3 cd' has the unknown unit 'cd', but a unit of {key.unit} is expected"),
                 (f"1:{name}=2", "is given twice, as '1' and as '2'; give it once"),
             ):
                 with refused(match=rf"^(road|load) '{kind}:{name}=.*': {name} {said}"):
@@ -203,7 +213,7 @@ def test_a_parameter(name):
     for one in known.parameters:
         value = right.get(one.name, one.number.high)
         assert known.check_each({**right, one.name: f"{value!r} {one.unit}"})[one.name] == value
-        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, 10**400, "3 K", "a\nb"):
+        for wrong in (True, [value], math.nan, one.number.low - 1, 2 * one.number.high, 10**400, "3 cd", "a\nb"):
             allowed = rf"give a number (from|in)|but a (pure number|unit of {one.unit}) is expected"
             with refused(match=rf"^{one.name} = .*({allowed})"):
                 known.check_each({**right, one.name: wrong})

@@ -102,7 +102,7 @@ def test_drawn_loops_agree_and_every_edge_is_one(seed):
     ]
     assert all(math.isfinite(one.gain.search.unstable) == math.isfinite(one.gain.sampled[0]) for one in margins)
     for trial, rate, loop in trials:
-        seconds = max(10 / abs(rate), 60 * loop.period * (loop.delay + 1), 2.0)
+        seconds = max(10 / abs(rate), 60 * loop.loop.period * (loop.delay + 1), 2.0)
         time = np.arange(round(seconds / TIMESTEP) + 1) * TIMESTEP
         bump = Bump(height=1e-6, length=20.0, speed=100.0, track="left")  # soon over
         run = simulate([trial.controller], [RoadInput(trial.vehicle, bump, time)]).run(0)
