@@ -237,6 +237,22 @@ def test_a_plant_carries_its_measurements():
     assert apart == set()
 
 
+SYSTEMS = {"LinearModel", "LinearLaw", "Plant", "StateSpace"}  # `Loop` and `SampledLoop` hold a plant and a law
+OTHERS = {
+    "ControllerSection",  # keys of a file
+    "RoadPreview",  # what a road ahead does
+    "Loops",  # a stack for one matrix inequality
+}
+
+
+def test_linear_systems_are_of_four_classes():
+    """Matrices A and B, or B_w, of a linear system are fields of four classes, and of no other but those that are named here."""
+    fields = re.compile(r"^    (A|Bw?): ", re.M)
+    texts = [text for path in FILES for text in re.split(r"^class ", path.read_text(encoding="utf-8"), flags=re.M)[1:]]
+    found = {text[: re.search(r"\W", text).start()] for text in texts if len({*fields.findall(text)}) > 1}
+    assert found == SYSTEMS | OTHERS
+
+
 def test_no_circle():
     """No file imports itself by way of others, not even where it is used."""
     graph = {module: {module_of(name) for name in imported(path)} - {None, module} for module, path in MODULES.items()}
