@@ -131,7 +131,7 @@ margins in physics                                             2484    944     7
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1866    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2248   1208      0
+ride metrics and their expectation                             2250   1208      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
@@ -150,7 +150,7 @@ commands that drive                                            1003    999    37
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4063   1556
+house, pages, benchmarks                                          0   4079   1556
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*

@@ -348,8 +348,10 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         if one is not None
     ]
     said = f"Expected ride over all such roads [m/s²], with its standard deviation between roads: {', '.join(each)}."
+    unknown = [as_name(run.controller.name) for run, one in zip(runs, known, strict=True) if one is None]
+    said += f" It is not computed for {', '.join(unknown)}." if unknown else ""
     detail: Detail = "normal" if len(runs) <= FEW else "full"
-    return Document("", (*tables, *notes(*([said] if each and len(each) == len(runs) else []), detail=detail)))
+    return Document("", (*tables, *notes(*([said] if each else []), detail=detail)))
 
 
 def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:
