@@ -126,7 +126,7 @@ campaigns                                                      2505   1542    16
 gallery of papers                                               732    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2484    944     75
+margins in physics                                             2484    944     79
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1866    554     37
