@@ -10,6 +10,7 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
 from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
 from models.kinds.rigid_body import Bar, Corner, RigidBody
+from models.kinds.seat import Seat
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
 AXLES = rigid_body.AXLES
@@ -73,6 +74,7 @@ def _body(p: Parameters) -> RigidBody:
         pitch_arm=pitch_arm,
         roll_arm=roll_arm,
         wheel_loads=links.wheel_loads(p, CORNERS),
+        seat=Seat.of(p),
     )
 
 

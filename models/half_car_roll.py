@@ -11,6 +11,7 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
 from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Bar, Corner, RigidBody
+from models.kinds.seat import Seat
 
 SIDES = links.SIDES
 PARAMETERS = (
@@ -45,6 +46,7 @@ def _body(p: Parameters) -> RigidBody:
         bars=(Bar("axle", 0, 1, p["anti_roll_stiffness"]),),
         roll_arm=links.arms(p)[1],
         wheel_loads=links.wheel_loads(p, SIDES),
+        seat=Seat.of(p),
     )
 
 
