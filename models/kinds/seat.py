@@ -152,8 +152,8 @@ def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Paramet
     """
     of_car(spec, p)
     seat, sprung = _seat(p), spec.body("sprung")
-    place = [seat.x, seat.y, 0.0]
-    body = sprung.add_body(name=JOINT, pos=place, mass=seat.mass, inertia=[POINT_INERTIA] * 3, explicitinertial=True)
+    body = sprung.add_body(name=JOINT, pos=[seat.x, seat.y, 0.0], mass=seat.mass, explicitinertial=True)
+    body.ipos, body.inertia = [0.0, 0.0, 0.0], [POINT_INERTIA] * 3
     joint = body.add_joint(name=JOINT, axis=[0.0, 0.0, 1.0], springref=seat.mass * GRAVITY / seat.stiffness)
     joint.type = SLIDE
     joint.stiffness[0], joint.damping[0] = seat.stiffness, seat.damping
