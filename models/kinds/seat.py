@@ -22,14 +22,22 @@ from models.common.errors import InputError
 from models.common.schema import SI, Section, keys, read
 from models.kinds.kind import GRAVITY, HERE, Parameter, Parameters, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import HEAVE_LOAD, HEAVE_VELOCITY, PITCH_LOAD, PITCH_RATE, ROLL_LOAD, ROLL_RATE, SPRUNG_VELOCITY, Signal
+from models.kinds.signals import (
+    HEAVE_LOAD,
+    HEAVE_VELOCITY,
+    PITCH_LOAD,
+    PITCH_RATE,
+    ROLL_LOAD,
+    ROLL_RATE,
+    SEAT_ACCELERATION,
+    SEAT_TRAVEL,
+    SEAT_VELOCITY,
+    SPRUNG_VELOCITY,
+)
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
-SEAT_TRAVEL = Signal("seat_travel", "z_p - z_s", "m", "extension of the seat's spring")
-SEAT_VELOCITY = Signal("seat_velocity", "z_p'", "m/s", "vertical velocity of the person on the seat, up")
-SEAT_ACCELERATION = Signal("seat_acceleration", "z_p''", "m/s2", "vertical acceleration of the person on the seat, up")
 SIGNALS = (SEAT_TRAVEL, SEAT_VELOCITY, SEAT_ACCELERATION)
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_RATE.name,))  # of the body, in this order

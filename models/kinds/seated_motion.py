@@ -23,7 +23,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.kinds.kind import GRAVITY
 from models.kinds.rigid_motion import RigidMotion
-from models.kinds.seat import JOINT, SEAT_ACCELERATION, SEAT_TRAVEL, SEAT_VELOCITY, Seat
+from models.kinds.seat import JOINT, Seat
+from models.kinds.signals import SEAT_ACCELERATION, SEAT_TRAVEL, SEAT_VELOCITY
 
 if TYPE_CHECKING:
     from models.kinds.motion import Pulls
