@@ -560,7 +560,8 @@ class VehicleKind(Checked):
         """Returns all parameters, checked, in the kind's order.
 
         Raises:
-            InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
+            InputError: errors of `check_each`, or parameters that are not a vehicle together, or leave a tyre at rest
+                fully compressed or off the road.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -572,6 +573,8 @@ class VehicleKind(Checked):
                 )
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
+            if squeeze <= 0:
+                raise InputError(f"{tyre}: this wheel is off the road at rest; move the masses that stand outside of the wheels")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "

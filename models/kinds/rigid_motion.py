@@ -191,7 +191,7 @@ class RigidMotion:
 
     def masses(self, q: Array) -> Array:
         """Returns the mass matrix of the body in positions q, shape (T, k, k)."""
-        M = np.zeros((*q.shape, q.shape[1]))
+        M = np.zeros((*q.shape, q.shape[1]), dtype=q.dtype)
         M[:, 0, 0] = self.body.mass
         if q.shape[1] > 1:
             sin, cos, side, _, s = self.tilt(q)

@@ -44,8 +44,9 @@ RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_
 TURNS = {"x": ("pitch_inertia", "does not pitch"), "y": ("roll_inertia", "does not roll")}
 JOINT = "seat"  # its joint in the MJCF, and its body
 POINT_INERTIA = 1e-12  # kg m2, of the seat in the MJCF, which MuJoCo needs above 0
-CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.28)  # m, half edges in the drawing
-SPRING = (0.16, 0.36)  # m, ends of the drawn spring above the point
+CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # m, half edges in the drawing
+SPRING = (0.2, 0.36)  # m, ends of the drawn spring above the point
+GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}  # parts of the body through which a seat is visible
 BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3  # mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE, mjOBJ_JOINT; no kind imports MuJoCo
 SENSORS = {  # mjSENS_JOINTPOS, mjSENS_FRAMELINVEL, mjSENS_FRAMELINACC; object; direction along which it is read
     SEAT_TRAVEL.name: (9, OF_JOINT, [1.0]),
@@ -172,6 +173,8 @@ def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Paramet
     for name, size, pos in (("seat_cushion", CUSHION, [0.0, 0.0, cushion]), ("seat_back", BACK, [-CUSHION[0], 0.0, back])):
         geom = body.add_geom(name=name, size=size, pos=pos, rgba=[0.35, 0.25, 0.2, 1.0], contype=0, conaffinity=0, mass=0.0)
         geom.type = BOX
+    for geom in sprung.geoms:
+        geom.rgba = GLASS.get(geom.name, geom.rgba)
     for name, (kind, of, along) in SENSORS.items():
         sensor = spec.add_sensor(name=name, objname=JOINT)
         sensor.type, sensor.objtype, sensor.userdata = kind, of, along

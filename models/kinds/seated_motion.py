@@ -72,7 +72,7 @@ class SeatedMotion:
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
         car, travel, speed = self._split(state)
-        q, hubs, rates, _ = self.car.split(car)
+        q, _, rates, _ = self.car.split(car)
         of_car = self.car.rate(car, heights, inputs, pulls, loads)
         free, on_hubs = np.split(of_car[:, of_car.shape[1] // 2 :], [q.shape[1]], axis=1)
         _, J, bent = self._place(q, travel, rates, speed)
