@@ -32,8 +32,8 @@ from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
-from models.kinds.seat import SIGNALS as SEAT_SIGNALS
 from models.kinds.seat import Seat
+from models.kinds.seated_kind import SIGNALS as SEAT_SIGNALS
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
 from models.laws.goals import BOUNDS, Minimise

@@ -15,7 +15,6 @@ where M and the first term are the body's own, under the static loads of body an
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,7 +43,7 @@ class SeatedMotion:
     car: RigidMotion
     seat: Seat
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         return (*self.car.names, SEAT_TRAVEL.name, SEAT_VELOCITY.name)
 

@@ -8,7 +8,8 @@ from models.characteristics.curve_reading import DamperTable, SpringTable, Surfa
 from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stops import StopSection, places_of
 from models.common.schema import NUMBER, Section, described, json_schema
-from models.kinds.seat import Seat, seated
+from models.kinds.seat import Seat
+from models.kinds.seated_kind import seated
 from models.laws.filter import FilterSection
 from models.parts.element import Place, element_kinds
 from models.vehicle.controllers import ControllerSection

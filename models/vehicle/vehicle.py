@@ -613,7 +613,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     vehicle_kind = kind(in_plane(given.type, given.plane) if given.plane else given.type, folder)
     numbers = given.parameters
     if given.seat:
-        from models.kinds.seat import read_seat
+        from models.kinds.seated_kind import read_seat
 
         vehicle_kind, numbers = read_seat(given.seat, vehicle_kind, numbers)
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)

@@ -137,7 +137,7 @@ def test_keys_are_checked():
         ("half_car", ("off the road",), {"x": 15.0, "mass": 500.0}),
     ):
         with refused(*words):
-            seated(name, **seat)
+            seated(name, "", **seat)
     twice = seated("quarter_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0")
     with refused("[parameters] seat_mass", "omit"):
         parse_vehicle(twice)

@@ -1,8 +1,8 @@
 """Equations of motion from a mass matrix, potential energy and lengths alone, beside those of the project.
 
-Coordinates are q = (heave, pitch, roll; heights of the hubs; travel of a seat), without a turn that the body lacks. With the lengths L(q) of
-suspensions, tyres and anti-roll bars, their Jacobian J, and the force that pulls the ends of each together, Lagrange's equations
-are
+Coordinates are q = (heave, pitch, roll; heights of the hubs; travel of a seat), without a turn that the body lacks. With the
+lengths L(q) of suspensions, tyres and anti-roll bars, their Jacobian J, and the force that pulls the ends of each together,
+Lagrange's equations are
 
     M q'' = -J' (forces) - M' q' + d(q' M q' / 2) / dq - dV / dq.
 
@@ -122,7 +122,7 @@ class Mechanism:
         self.inertance, self.n = inertance, self.k + self.c + ("seat_mass" in p)
 
     def of_seat(self, q):
-        """Returns height and Jacobian of a seat, shapes (T,) and (T, 3, n): turned by roll, then by pitch, each about its axis."""
+        """Returns height and Jacobian of a seat, shapes (T,) and (T, 3, n): it turns by roll, then by pitch, about both axes."""
         (a, b), (theta, phi), (*_, x, y) = self.arms, self.angles(q), self.seat
         none, one = np.zeros_like(theta), np.ones_like(theta)
 
