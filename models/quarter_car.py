@@ -12,7 +12,7 @@ import numpy as np
 from models.kinds import signals
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel, motion_ratio
 from models.kinds.linear_model import LinearModel
-from models.kinds.seat import Seat
+from models.kinds.seat import ADVICE, Seat
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
 if TYPE_CHECKING:
@@ -205,5 +205,6 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     motion=motion,
-    lacking={"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
+    lacking=ADVICE
+    | {"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
 )

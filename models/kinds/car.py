@@ -9,6 +9,7 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.kind import BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import RigidBody
+from models.kinds.seat import ADVICE
 from models.kinds.signals import Signal
 
 if TYPE_CHECKING:
@@ -148,5 +149,5 @@ class Car:
             carried=self.carried,
             angles=self.angles,
             motion=self.motion,
-            lacking=lacking or {},
+            lacking={**ADVICE, **(lacking or {})},
         )

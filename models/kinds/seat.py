@@ -11,6 +11,7 @@ from models.common.schema import SI, Section, keys
 from models.kinds.kind import GRAVITY, Parameters
 
 JOINT = "seat"  # its joint in the MJCF, and its body
+ADVICE = {"seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"}  # see VehicleKind.lacking
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from models.kinds.kind import GRAVITY
 from models.roads.load import Cornering
 from models.roads.road import Bump
 from models.vehicle.file_schema import file_schema
+from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import Designer
@@ -141,5 +142,9 @@ def test_keys_are_checked():
     twice = seated("quarter_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0")
     with refused("[parameters] seat_mass", "omit"):
         parse_vehicle(twice)
+    with refused("unknown parameter 'seat_mass'", "write [seat]"):
+        parse_vehicle(read_vehicle("half_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0"))
+    views = vehicle_sketch(seated("full_car")).views
+    assert [view.seat and view.seat.place for view in views] == pytest.approx([0.2 - 1.011, -0.35])
     for name, keys in (("quarter_car", "mass stiffness damping"), ("half_car_roll", "mass stiffness damping y")):
         assert [*file_schema(name)["properties"]["seat"]["properties"]] == keys.split()
