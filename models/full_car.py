@@ -10,7 +10,6 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
 from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
 from models.kinds.rigid_body import Bar, Corner, RigidBody
-from models.kinds.seat import Seat
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
 AXLES = rigid_body.AXLES
@@ -74,7 +73,9 @@ def _body(p: Parameters) -> RigidBody:
         pitch_arm=pitch_arm,
         roll_arm=roll_arm,
         wheel_loads=links.wheel_loads(p, CORNERS),
-        seat=Seat.of(p),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_x=p.get("seat_x", 0.0),
+        seat_y=p.get("seat_y", 0.0),
     )
 
 

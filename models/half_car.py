@@ -6,7 +6,6 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car
 from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Corner, RigidBody
-from models.kinds.seat import Seat
 
 CORNERS = rigid_body.AXLES
 PARAMETERS = (
@@ -30,7 +29,8 @@ def _body(p: Parameters) -> RigidBody:
         twist=np.zeros(2),
         pitch_arm=pitch_arm,
         wheel_loads=links.wheel_loads(p, CORNERS),
-        seat=Seat.of(p),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_x=p.get("seat_x", 0.0),
     )
 
 

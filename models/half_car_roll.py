@@ -11,7 +11,6 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
 from models.kinds.kind import Parameter, Parameters, Variation
 from models.kinds.rigid_body import Bar, Corner, RigidBody
-from models.kinds.seat import Seat
 
 SIDES = links.SIDES
 PARAMETERS = (
@@ -46,7 +45,8 @@ def _body(p: Parameters) -> RigidBody:
         bars=(Bar("axle", 0, 1, p["anti_roll_stiffness"]),),
         roll_arm=links.arms(p)[1],
         wheel_loads=links.wheel_loads(p, SIDES),
-        seat=Seat.of(p),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_y=p.get("seat_y", 0.0),
     )
 
 

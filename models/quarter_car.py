@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.kinds import signals
-from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel, motion_ratio
+from models.kinds.kind import (
+    GRAVITY,
+    SEATED,
+    BodyLoad,
+    Invariant,
+    Parameter,
+    Parameters,
+    Variation,
+    VehicleKind,
+    Wheel,
+    motion_ratio,
+)
 from models.kinds.linear_model import LinearModel
-from models.kinds.seat import ADVICE, Seat
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
 if TYPE_CHECKING:
@@ -99,18 +109,13 @@ def linear_model(p: Parameters) -> LinearModel:
 
 def static_tyre_deflection(p: Parameters) -> dict[str, float]:
     """Returns the compression of the tyre at rest [m]: the weight of all masses over k_u."""
-    weight = (_carried(p) + p["unsprung_mass"]) * GRAVITY
+    weight = (p["sprung_mass"] + p.get("seat_mass", 0.0) + p["unsprung_mass"]) * GRAVITY
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
-
-
-def _carried(p: Parameters) -> float:
-    """Returns the mass on the suspension: that of the body, and that of a seat [kg]."""
-    return p["sprung_mass"] + p.get("seat_mass", 0.0)
 
 
 def static_loads(p: Parameters) -> dict[str, float]:
     """Returns the weight on the suspension [N]."""
-    return {signals.SUSPENSION_DEFLECTION.name: _carried(p) * GRAVITY}
+    return {signals.SUSPENSION_DEFLECTION.name: (p["sprung_mass"] + p.get("seat_mass", 0.0)) * GRAVITY}
 
 
 def write_mjcf(spec: Any, p: Parameters) -> None:
@@ -122,7 +127,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     spec.body("sprung").mass = p["sprung_mass"]
     spec.body("unsprung").mass = p["unsprung_mass"]
 
-    suspension, weight = spec.tendon("suspension"), _carried(p) * GRAVITY
+    suspension, weight = spec.tendon("suspension"), static_loads(p)[signals.SUSPENSION_DEFLECTION.name]
     write_strut(spec, suspension, p["suspension_stiffness"], p["suspension_damping"], weight)
 
     radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
@@ -145,7 +150,8 @@ def motion(p: Parameters) -> "Motion":
         tyre_stiffness=p["tyre_stiffness"],
         tyre_damping=p.get("tyre_damping", 0.0),
     )
-    body = RigidBody((corner,), p["sprung_mass"], None, None, tyre_modes=np.eye(1), twist=np.zeros(1), seat=Seat.of(p))
+    seat = p.get("seat_mass", 0.0)
+    body = RigidBody((corner,), p["sprung_mass"], None, None, tyre_modes=np.eye(1), twist=np.zeros(1), seat_mass=seat)
     return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))
 
 
@@ -205,6 +211,6 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     motion=motion,
-    lacking=ADVICE
+    lacking=SEATED
     | {"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
 )

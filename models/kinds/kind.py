@@ -120,6 +120,9 @@ MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
+SEATED = {
+    "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
+}  # of built-in kinds, `lacking`
 UNMOVED = 1e-12  # of the largest acceleration by a force: less is rounding
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]

@@ -4,14 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-import numpy as np
-
-from models.common.arrays import Array
 from models.common.schema import SI, Section, keys
-from models.kinds.kind import GRAVITY, Parameters
+from models.kinds.kind import Parameters
 
 JOINT = "seat"  # its joint in the MJCF, and its body
-ADVICE = {"seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"}  # see VehicleKind.lacking
 
 
 @dataclass(frozen=True)
@@ -27,17 +23,11 @@ class Seat(Section):
     y: Annotated[float, SI("m", "position of the seat, to the left of the body's centre of mass", -20.0, 20.0)] = 0.0
 
     @classmethod
-    def of(cls, p: Parameters) -> "Seat | None":
-        """Returns the seat of a vehicle with these parameters, or None."""
-        own = {key: p[f"seat_{key}"] for key in keys(cls) if f"seat_{key}" in p}
-        return cls(**own) if own else None
+    def of(cls, p: Parameters) -> "Seat":
+        """Returns the seat of a vehicle that has one, from its parameters."""
+        return cls(**{key: p[f"seat_{key}"] for key in keys(cls) if f"seat_{key}" in p})
 
     @property
     def arms(self) -> tuple[float, float, float]:
         """Height of its point per heave, pitch and roll of the body."""
         return 1.0, -self.x, self.y
-
-    @property
-    def load(self) -> Array:
-        """Its weight as force and moments on heave, pitch and roll [N, N m], shape (3,)."""
-        return self.mass * GRAVITY * np.array(self.arms)

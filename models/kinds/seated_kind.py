@@ -94,15 +94,9 @@ def seated(kind: VehicleKind) -> VehicleKind:
     )
 
 
-def _seat(p: Parameters) -> Seat:
-    seat = Seat.of(p)
-    assert seat is not None
-    return seat
-
-
 def _linear_model(of_car: Callable[[Parameters], LinearModel], p: Parameters) -> LinearModel:
     """Returns the linear model of a car with the seat's travel and velocity as its last states."""
-    car, seat = of_car(p), _seat(p)
+    car, seat = of_car(p), Seat.of(p)
     point, lift, shown = np.zeros(len(car.A)), np.zeros(len(car.A)), np.zeros(len(car.C))
     for load, rates, arm in zip(LOADS, RATES, seat.arms, strict=True):
         if load in car.loads:
@@ -121,7 +115,7 @@ def _linear_model(of_car: Callable[[Parameters], LinearModel], p: Parameters) ->
 def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
     from models.kinds.seated_motion import SeatedMotion
 
-    return SeatedMotion(of_car(p), _seat(p))
+    return SeatedMotion(of_car(p), Seat.of(p))
 
 
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
@@ -130,7 +124,7 @@ def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Paramet
     The mass is a point at the origin of the body `seat`; cushion and back are drawn above.
     """
     of_car(spec, p)
-    seat, sprung = _seat(p), spec.body("sprung")
+    seat, sprung = Seat.of(p), spec.body("sprung")
     body = sprung.add_body(name=JOINT, pos=[seat.x, seat.y, 0.0], mass=seat.mass, explicitinertial=True)
     body.ipos, body.inertia = [0.0, 0.0, 0.0], [POINT_INERTIA] * 3
     joint = body.add_joint(name=JOINT, axis=[0.0, 0.0, 1.0], springref=seat.mass * GRAVITY / seat.stiffness)
