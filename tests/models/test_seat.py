@@ -142,6 +142,8 @@ def test_keys_are_checked():
     twice = seated("quarter_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0")
     with refused("[parameters] seat_mass", "omit"):
         parse_vehicle(twice)
+    with refused("[seat] mass is missing"):
+        parse_vehicle(read_vehicle("half_car").text + "[seat]\n")
     with refused("unknown parameter 'seat_mass'", "write [seat]"):
         parse_vehicle(read_vehicle("half_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0"))
     views = vehicle_sketch(seated("full_car")).views
