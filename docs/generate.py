@@ -32,6 +32,8 @@ from models.common import schema
 from models.common.command import Parser
 from models.document.sketch import sketch_svg
 from models.kinds import signals
+from models.kinds.seat import Seat
+from models.kinds.seated_kind import SIGNALS as SEAT_SIGNALS
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
 from models.laws.goals import BOUNDS, Minimise
@@ -223,6 +225,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[curves]"] = list({row[0]: row for section in tables for row in section_keys(section)}.values())
     sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(PayloadSection)
+    sections["[seat]"] = section_keys(Seat)
     sections["[parts.NAME]"] = section_keys(Place)
     sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
@@ -285,8 +288,9 @@ def signal_tables() -> str:
     text += "The states of a controller are `controller_1`, `controller_2` and so on.\n"
     for name in kinds():
         listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
+        of_seat = ", ".join(f"`{one.name}`" for one in SEAT_SIGNALS)
         text += (
-            f"\n## {name}\n\n{listed}.\n\nControllers may measure: "
+            f"\n## {name}\n\n{listed}.\n\nWith `[seat]` also {of_seat}.\n\nControllers may measure: "
             + ", ".join(f"`{one}`" for one in read_vehicle(name).linear_model.measurable)
             + ".\n"
         )

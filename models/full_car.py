@@ -73,6 +73,9 @@ def _body(p: Parameters) -> RigidBody:
         pitch_arm=pitch_arm,
         roll_arm=roll_arm,
         wheel_loads=links.wheel_loads(p, CORNERS),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_x=p.get("seat_x", 0.0),
+        seat_y=p.get("seat_y", 0.0),
     )
 
 

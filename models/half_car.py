@@ -29,6 +29,8 @@ def _body(p: Parameters) -> RigidBody:
         twist=np.zeros(2),
         pitch_arm=pitch_arm,
         wheel_loads=links.wheel_loads(p, CORNERS),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_x=p.get("seat_x", 0.0),
     )
 
 

@@ -45,6 +45,8 @@ def _body(p: Parameters) -> RigidBody:
         bars=(Bar("axle", 0, 1, p["anti_roll_stiffness"]),),
         roll_arm=links.arms(p)[1],
         wheel_loads=links.wheel_loads(p, SIDES),
+        seat_mass=p.get("seat_mass", 0.0),
+        seat_y=p.get("seat_y", 0.0),
     )
 
 

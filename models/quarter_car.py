@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.kinds import signals
-from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel, motion_ratio
+from models.kinds.kind import (
+    GRAVITY,
+    SEATED,
+    BodyLoad,
+    Invariant,
+    Parameter,
+    Parameters,
+    Variation,
+    VehicleKind,
+    Wheel,
+    motion_ratio,
+)
 from models.kinds.linear_model import LinearModel
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
@@ -97,14 +108,14 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """Returns the compression of the tyre at rest [m]: the weight of both masses over k_u."""
-    weight = (p["sprung_mass"] + p["unsprung_mass"]) * GRAVITY
+    """Returns the compression of the tyre at rest [m]: the weight of all masses over k_u."""
+    weight = (p["sprung_mass"] + p.get("seat_mass", 0.0) + p["unsprung_mass"]) * GRAVITY
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
 
 
 def static_loads(p: Parameters) -> dict[str, float]:
     """Returns the weight on the suspension [N]."""
-    return {signals.SUSPENSION_DEFLECTION.name: p["sprung_mass"] * GRAVITY}
+    return {signals.SUSPENSION_DEFLECTION.name: (p["sprung_mass"] + p.get("seat_mass", 0.0)) * GRAVITY}
 
 
 def write_mjcf(spec: Any, p: Parameters) -> None:
@@ -116,7 +127,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     spec.body("sprung").mass = p["sprung_mass"]
     spec.body("unsprung").mass = p["unsprung_mass"]
 
-    suspension, weight = spec.tendon("suspension"), p["sprung_mass"] * GRAVITY
+    suspension, weight = spec.tendon("suspension"), static_loads(p)[signals.SUSPENSION_DEFLECTION.name]
     write_strut(spec, suspension, p["suspension_stiffness"], p["suspension_damping"], weight)
 
     radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
@@ -139,7 +150,8 @@ def motion(p: Parameters) -> "Motion":
         tyre_stiffness=p["tyre_stiffness"],
         tyre_damping=p.get("tyre_damping", 0.0),
     )
-    body = RigidBody((corner,), p["sprung_mass"], None, None, tyre_modes=np.eye(1), twist=np.zeros(1))
+    seat = p.get("seat_mass", 0.0)
+    body = RigidBody((corner,), p["sprung_mass"], None, None, tyre_modes=np.eye(1), twist=np.zeros(1), seat_mass=seat)
     return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))
 
 
@@ -199,5 +211,6 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     motion=motion,
-    lacking={"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
+    lacking=SEATED
+    | {"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
 )

@@ -17,6 +17,7 @@ SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
 ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112  # between parts of a strut, between struts, beside them, and for the computer
 AHEAD = 120  # more of a road that is not flat
 BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # levels, downwards
+SEAT, ABOVE = (-62, -36), 66  # levels of a seat's mass, and height that a drawing with a seat has above others
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class View:
         spans: distances below the road: both ends [m], and a symbol.
         bar: symbol of an anti-roll bar; empty without one.
         computer: lines in the box of the computer; empty without one.
+        seat: seat above the body, with the symbol of its mass; None without one.
     """
 
     struts: tuple[Strut, ...]
@@ -62,6 +64,7 @@ class View:
     spans: tuple[tuple[float, float, str], ...] = ()
     bar: str = ""
     computer: tuple[str, ...] = ()
+    seat: Strut | None = None
 
     @property
     def middles(self) -> list[float]:
@@ -109,8 +112,10 @@ def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alo
         road: place along the view [m] -> height of the road in the drawing, upwards; None for a flat one.
         alone: True for a file of its own, in dark ink on white.
     """
-    width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW
-    parts = [f'<g transform="translate(0 {k * high})">{"".join(_view(view, road))}</g>' for k, view in enumerate(sketch.views)]
+    above = ABOVE * any(view.seat is not None for view in sketch.views)
+    width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW + above
+    drawn = (f'translate(0 {k * high + above})">{"".join(_view(view, road))}' for k, view in enumerate(sketch.views))
+    parts = [f'<g transform="{one}</g>' for one in drawn]
     text = "; ".join(f"{meaning}{f' {symbol}' if symbol else ''}: {value}" for symbol, meaning, value in sketch.rows)
     own = ' xmlns="http://www.w3.org/2000/svg" color="#1c1c1c" style="background:#ffffff"' if alone else ""
     return (
@@ -132,6 +137,11 @@ def _view(view: View, road: Callable[[float], float] | None) -> Iterator[str]:
     yield f'<path d="M{" L".join(f"{x} {GROUND - lift(x):.4g}" for x in ends)}" stroke-width="2.2"/>'
     yield f'<path d="{"".join(f"M{x} {GROUND - lift(x):.4g}l-7 8" for x in ends[2::4])}" opacity=".5"/>'
     yield from _box((left, right), BODY, view.body)
+    if view.seat is not None:
+        middle = min(max(middles[0] + scale * (view.seat.place - first.place), left + ARM), right - ARM)
+        for k, (kind, symbol) in enumerate(view.seat.parts):
+            yield from _part(kind, symbol, middle + ARM * (k - (len(view.seat.parts) - 1) / 2) - 6, SEAT[1], BODY[0])
+        yield from _box((middle - view.seat.half + 6, middle + view.seat.half - 6), SEAT, view.seat.mass)
     if view.bar:
         middle = (left + right) / 2
         yield f'<path d="M{left + 6:g} {BODY[1]}v9H{right - 6:g}v-9" stroke-width="3"/>{_letters(middle, 104, view.bar)}'

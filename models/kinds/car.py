@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.kind import BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
+from models.kinds.kind import SEATED, BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import RigidBody
 from models.kinds.signals import Signal
@@ -148,5 +148,5 @@ class Car:
             carried=self.carried,
             angles=self.angles,
             motion=self.motion,
-            lacking=lacking or {},
+            lacking={**SEATED, **(lacking or {})},
         )

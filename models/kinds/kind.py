@@ -120,6 +120,9 @@ MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
+SEATED = {
+    "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
+}  # of built-in kinds, `lacking`
 UNMOVED = 1e-12  # of the largest acceleration by a force: less is rounding
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
@@ -560,7 +563,8 @@ class VehicleKind(Checked):
         """Returns all parameters, checked, in the kind's order.
 
         Raises:
-            InputError: errors of `check_each`, or parameters that are not a vehicle together or fully compress a tyre at rest.
+            InputError: errors of `check_each`, or parameters that are not a vehicle together, or leave a tyre at rest
+                fully compressed or off the road.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -572,6 +576,8 @@ class VehicleKind(Checked):
                 )
         self.check_together(at_wheels)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
+            if squeeze <= 0:
+                raise InputError(f"{tyre}: this wheel is off the road at rest; move the masses that stand outside of the wheels")
             if squeeze > MOST_SQUEEZE:
                 raise InputError(
                     f"{tyre} at rest is {squeeze:.3g} m, the masses' weight over the tyre's stiffness; at most {MOST_SQUEEZE} m "

@@ -149,6 +149,8 @@ class RigidBody:
         pitch_arm, roll_arm: heights of the centre of mass over the axes that links give it [m]; without one it turns about its
             centre of mass, and its weight has no moment.
         wheel_loads: loads on its wheels.
+        seat_mass: mass on a seat above it, which is not in `mass` [kg].
+        seat_x, seat_y: place of this seat from the centre of mass [m].
     """
 
     corners: tuple[Corner, ...]
@@ -161,6 +163,9 @@ class RigidBody:
     pitch_arm: float | None = None
     roll_arm: float | None = None
     wheel_loads: tuple[BodyLoad, ...] = ()
+    seat_mass: float = 0.0
+    seat_x: float = 0.0
+    seat_y: float = 0.0
 
     @cached_property
     def modes(self) -> tuple[int, ...]:
@@ -200,17 +205,18 @@ class RigidBody:
     def inertia(self) -> Array:
         """M, shape (k, k)."""
         about_centre = np.array([self.mass, self.pitch_inertia or 0.0, self.roll_inertia or 0.0])[list(self.modes)]
-        return np.diag(about_centre + self.mass * self.sways**2)
+        return np.diag(about_centre + (self.mass + self.seat_mass) * self.sways**2)
 
     @property
     def weight(self) -> Array:
         """W, the moment of the weight per angle, shape (k, k)."""
-        return np.diag(self.mass * GRAVITY * self.sways)
+        return np.diag((self.mass + self.seat_mass) * GRAVITY * self.sways)
 
     def static_loads(self) -> Array:
         """Returns the load of each suspension at rest [N], shape (c,): the least-squares loads that balance the weight."""
         weight = np.zeros(len(self.inertia))
         weight[0] = self.mass * GRAVITY
+        weight += self.seat_mass * GRAVITY * np.array([1.0, -self.seat_x, self.seat_y])[list(self.modes)]
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:

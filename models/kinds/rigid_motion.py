@@ -94,7 +94,7 @@ class RigidMotion:
 
     def usable(self, state: Array) -> Array:
         """See `Motion`. If a body has turned over, or a strut has no length, the struts do not determine its position."""
-        q, hubs, rates, hub_rates = self._split(state)
+        q, hubs, rates, hub_rates = self.split(state)
         with np.errstate(all="ignore"):
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
             turned, shortest = np.abs(q[:, 1:]).max(axis=1, initial=0.0), STRUT + d.min(axis=1)
@@ -102,11 +102,11 @@ class RigidMotion:
             return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1) | self.body.guided))
 
     def read(self, state: Array, heights: Array) -> Array:
-        q, hubs, rates, hub_rates = self._split(state)
+        q, hubs, rates, hub_rates = self.split(state)
         return np.concatenate([self._struts(q, hubs, rates, hub_rates)[0], hubs - heights, rates, hub_rates], axis=1)
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
-        q, hubs, rates, hub_rates = self._split(state)
+        q, hubs, rates, hub_rates = self.split(state)
         spring, damper, tyre, rubber, unsprung, resting = self._corners
         d, v, J, up = self._struts(q, hubs, rates, hub_rates)
         push = resting - spring * d - damper * v - pulls(d, v) + inputs
@@ -130,20 +130,24 @@ class RigidMotion:
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
+        return self.outputs_at(state, self.rate(state, heights, inputs, pulls, loads))
+
+    def outputs_at(self, state: Array, rate: Array) -> Mapping[str, Array]:
+        """Returns the signals of `outputs` in states with these rates, both of shape (T, n)."""
         k = self.shape.shape[1]
-        q, hubs, rates, _ = self._split(state)
-        _, _, second, hub_second = self._split(self.rate(state, heights, inputs, pulls, loads))
+        q, hubs, rates, _ = self.split(state)
+        _, _, second, hub_second = self.split(rate)
         turning = second.copy()
         columns, heights_now = [turning, hub_second], [q[:, :1], hubs]
         if k > 1:
             # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
             x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
-            sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self._tilt(q))
+            sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
             b, over = self.body.roll_arm or 0.0, side * y + s
             sway, bend = turned * y - b * side, -side * y - b * turned
             by_each = (np.ones_like(over), -x * cos - over * sin, sway * cos)
             by_q = np.stack([by_each[i] for i in self.body.modes], axis=-1)
-            pitch_rate, roll_rate = (np.reshape(one, (-1, 1)) for one in self._turns(rates))
+            pitch_rate, roll_rate = (np.reshape(one, (-1, 1)) for one in self.turns(rates))
             bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * sway * sin
             velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
             acceleration = acceleration + bent
@@ -163,7 +167,7 @@ class RigidMotion:
 
     def energy(self, state: Array, heights: Array) -> Array:
         """See `StoredEnergy`. Weights, linear springs of suspensions, tyres and anti-roll bars have the potential energy."""
-        q, hubs, rates, hub_rates = self._split(state)
+        q, hubs, rates, hub_rates = self.split(state)
         spring, _, tyre, _, unsprung, resting = self._corners
         d, lifted = self._struts(q, hubs, rates, hub_rates)[0], q[:, 0]
         under = np.maximum(0.0, resting + unsprung * GRAVITY - tyre * (hubs - heights))
@@ -172,7 +176,7 @@ class RigidMotion:
             potential += bar.stiffness * (q[:, -1] - hubs @ self.body.arms(bar)) ** 2 / 2
         kinetic = self.body.mass * rates[:, 0] ** 2 + (unsprung * hub_rates**2).sum(axis=1)
         if q.shape[1] > 1:
-            sin, cos, side, _, s = self._tilt(q)
+            sin, cos, side, _, s = self.tilt(q)
             lifted = lifted - (self.body.pitch_arm or 0.0) + s * cos
             for own, entry, rate in zip(*self._masses(sin, cos, side, s), rates[:, 1:].T, strict=True):
                 kinetic += (own * rate + 2 * entry * rates[:, 0]) * rate
@@ -185,15 +189,25 @@ class RigidMotion:
         numbers = (np.array([getattr(corner, name) for corner in self.body.corners]) for name in names)
         return (*numbers, self.body.static_loads())
 
-    def _turns(self, columns: Array) -> tuple[Array, Array]:
+    def masses(self, q: Array) -> Array:
+        """Returns the mass matrix of the body in positions q, shape (T, k, k)."""
+        M = np.zeros((*q.shape, q.shape[1]), dtype=q.dtype)
+        M[:, 0, 0] = self.body.mass
+        if q.shape[1] > 1:
+            sin, cos, side, _, s = self.tilt(q)
+            for i, (own, entry) in enumerate(zip(*self._masses(sin, cos, side, s), strict=True), start=1):
+                M[:, i, i], M[:, 0, i], M[:, i, 0] = own, entry, entry
+        return M
+
+    def turns(self, columns: Array) -> tuple[Array, Array]:
         """Returns the columns of pitch and roll of some with k modes, each of shape (T,); zeros for one that the body lacks."""
         modes = self.body.modes
         pitch, roll = (columns[:, modes.index(i)] if i in modes else np.zeros(len(columns)) for i in (1, 2))
         return pitch, roll
 
-    def _tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
+    def tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
         """Returns sine and cosine of theta, those of phi, and s, each of shape (T,)."""
-        theta, phi = self._turns(q)
+        theta, phi = self.turns(q)
         c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
         return np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), c - 2 * b * np.sin(phi / 2) ** 2 if b else c
 
@@ -202,7 +216,7 @@ class RigidMotion:
         shape (T,).
 
         Args:
-            sin, cos, side, s: sine and cosine of theta, sine of phi, and s, as `_tilt` returns them.
+            sin, cos, side, s: sine and cosine of theta, sine of phi, and s, as `tilt` returns them.
         """
         body, b = self.body, self.body.roll_arm or 0.0
         inertias, entries = list[Array | float](), list[Array]()
@@ -219,10 +233,10 @@ class RigidMotion:
         mass, b = self.body.mass, self.body.roll_arm or 0.0
         if q.shape[1] == 1:
             return push / mass - GRAVITY
-        sin, cos, side, turned, s = self._tilt(q)
+        sin, cos, side, turned, s = self.tilt(q)
         inertias, entries = self._masses(sin, cos, side, s)
         lift, moments = push[:, 0], list(push[:, 1:].T)
-        theta_dot, phi_dot = self._turns(rates)
+        theta_dot, phi_dot = self.turns(rates)
         if self.body.pitch_inertia is not None and self.body.roll_inertia is not None:
             slope = 2 * (self.yaw_inertia - self.body.pitch_inertia) * side * turned - 2 * mass * s * b * side
             moments = [moments[0] - slope * theta_dot * phi_dot, moments[1] + slope * theta_dot**2 / 2]
@@ -238,7 +252,7 @@ class RigidMotion:
         turns = [(moment - entry * lifted) / own for entry, moment, own in rows]
         return np.stack([lifted - GRAVITY, *turns], axis=-1)
 
-    def _split(self, state: Array) -> tuple[Array, Array, Array, Array]:
+    def split(self, state: Array) -> tuple[Array, Array, Array, Array]:
         """Returns q, z_u and their rates."""
         c, k = self.shape.shape
         q, hubs, rates, hub_rates = np.split(state, [k, k + c, 2 * k + c], axis=1)
@@ -252,7 +266,7 @@ class RigidMotion:
             d, v = q @ self.shape.T - hubs, rates @ self.shape.T - hub_rates
             return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
-        sin, cos, side, turned, _ = (np.reshape(one, (-1, 1)) for one in self._tilt(q))
+        sin, cos, side, turned, _ = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
         over = side * y  # of R_x (x, y, 0) = (x, y cos, y sin)
         along, across = x * cos + over * sin - x, y * turned - y
         rise = q[:, :1] - hubs - x * sin + over * cos

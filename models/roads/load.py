@@ -142,6 +142,11 @@ class Ramped(Section, Load):
 NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
 
 
+def _mass(p: Parameters) -> float:
+    """Returns the mass of the body and of a seat, which is at the height of the body's centre of mass [kg]."""
+    return p["sprung_mass"] + p.get("seat_mass", 0.0)
+
+
 class _Inertial(Ramped):
     """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
 
@@ -160,12 +165,11 @@ class _Inertial(Ramped):
             raise InputError(
                 f"load {self.kind} needs {' and '.join(map(repr, NEEDED))} for its moment, but this vehicle has no {absent[0]!r}"
             )
-        mass, height = (p[name] for name in NEEDED)
-        return {self.way: mass * GRAVITY * self.g * height}
+        return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
         """Returns the force of the body's mass, and the acceleration."""
-        return self.way, p["sprung_mass"] * GRAVITY * self.g, GRAVITY * self.g
+        return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
 @dataclass(frozen=True)

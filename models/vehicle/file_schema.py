@@ -8,6 +8,8 @@ from models.characteristics.curve_reading import DamperTable, SpringTable, Surfa
 from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stops import StopSection, places_of
 from models.common.schema import NUMBER, Section, described, json_schema
+from models.kinds.seat import Seat
+from models.kinds.seated_kind import seated
 from models.laws.filter import FilterSection
 from models.parts.element import Place, element_kinds
 from models.vehicle.controllers import ControllerSection
@@ -26,8 +28,11 @@ def file_schema(name: str) -> dict[str, Any]:
     Args:
         name: type of the vehicle, such as "quarter_car".
     """
-    known = kind(name)
-    parameters = {one.name: described(one.number.json, one.meaning, one.unit) for one in known.parameters}
+    plain, known = kind(name), seated(kind(name))
+    parameters = {one.name: described(one.number.json, one.meaning, one.unit) for one in plain.parameters}
+    seat = json_schema(Seat)
+    own = {one.name.removeprefix("seat_") for one in known.parameters[len(plain.parameters) :]}
+    seat["properties"] = {key: one for key, one in seat["properties"].items() if key in own}
     corners = [part.corner for part in known.suspensions]
     payload, implementation = json_schema(PayloadSection), json_schema(ImplementationSection)
     of_road = {name for wheel in known.wheels for name in (wheel.road_displacement, wheel.road_velocity)}
@@ -45,12 +50,13 @@ def file_schema(name: str) -> dict[str, Any]:
         for of, sections in tables.items()
         if getattr(part, of) and (schemas := [json_schema(one) for one in sections])
     }
-    needed = [one.name for one in known.parameters if one.usual is None and not one.optional and one.name not in curves]
+    needed = [one.name for one in plain.parameters if one.usual is None and not one.optional and one.name not in curves]
     sections = {
         "parameters": TABLE | {"properties": parameters, "required": needed, "additionalProperties": False},
         "performance": TABLE | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
+        "seat": seat,
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},

@@ -87,7 +87,8 @@ def laden(
             shift[axis] += mass / whole * part
         load[HEAVE_LOAD.name] -= mass * GRAVITY
         load[PITCH_LOAD.name] += mass * GRAVITY * payload.x
-    for name, moved in (("axle_distance_front", -shift["x"]), ("axle_distance_rear", shift["x"]), ("centre_height", shift["z"])):
+    forward = {"axle_distance_front": -shift["x"], "axle_distance_rear": shift["x"], "seat_x": -shift["x"]}
+    for name, moved in {**forward, "centre_height": shift["z"]}.items():
         if name in heavier:
             heavier[name] += moved
     turning = [part for part in kind.suspensions if part.ratio in kind.ratios]

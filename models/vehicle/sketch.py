@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 
 from models.document.sketch import Sketch, Strut, View
-from models.kinds.kind import Wheel
+from models.kinds.kind import Parameters, Wheel
 from models.kinds.signals import TYRE_DEFLECTION
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
@@ -35,7 +35,7 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
     spans = ((-front - rear, -front, letters[1]), (-front, 0.0, letters[0])) if front else ()
     struts = [_strut(vehicle, wheel, place, _axle(wheel), symbols) for place, wheel in sorted(axles.items())]
     body = [mass, *filter(None, [symbols.get("pitch_inertia")])]
-    views = [View(tuple(struts), ", ".join(body), spans, computer=box)]
+    views = [View(tuple(struts), ", ".join(body), spans, computer=box, seat=_seat(given, given.get("seat_x", 0.0) - front))]
     across = {-wheel.lateral(given): wheel for wheel in kind.wheels if wheel.side and -wheel.behind(given) == min(axles)}
     if len(across) > 1:
         struts = [_strut(vehicle, wheel, place, wheel.side, symbols) for place, wheel in sorted(across.items())]
@@ -43,10 +43,17 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
         bar = next((name for name in ("anti_roll_stiffness_rear", "anti_roll_stiffness") if given.get(name)), "")
         span = (min(across), max(across), symbols.get("track", ""))
         flat = len(axles) == 1
-        behind = View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, ""), box if flat else ())
+        seat = _seat(given, -given.get("seat_y", 0.0))
+        behind = View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, ""), box if flat else (), seat)
         views = [behind] if flat else [*views, behind]
     title = f"{kind.name.replace('_', ' ')}{', from the side and from behind' * (len(views) > 1)}"
     return Sketch(title, tuple(views), (*_parameters(vehicle, symbols), *_hardware(vehicle, computer)))
+
+
+def _seat(given: Parameters, place: float) -> Strut | None:
+    """Returns the seat at a place of the view [m], or None."""
+    parts = (("spring", "k_p"), ("damper", "c_p" if given.get("seat_damping") else ""))
+    return Strut(place, "", tuple(part for part in parts if part[1]), "m_p") if "seat_mass" in given else None
 
 
 def _axle(wheel: Wheel) -> str:

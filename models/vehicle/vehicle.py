@@ -111,6 +111,7 @@ class VehicleFile(Section):
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
     parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
+    seat: Annotated[Entries, AnyTable("a person on a seat above the body")] | None = None
     plane: Annotated[str, Text("plane in which a half-car moves, below its type: pitch (default) or roll")] = ""
 
 
@@ -610,7 +611,12 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     """
     given = read("", VehicleFile, parse_toml(text))
     vehicle_kind = kind(in_plane(given.type, given.plane) if given.plane else given.type, folder)
-    curves, parameters, vehicle_kind = curves_and_parameters(given.curves, given.parameters, vehicle_kind)
+    numbers = given.parameters
+    if given.seat is not None:
+        from models.kinds.seated_kind import read_seat
+
+        vehicle_kind, numbers = read_seat(given.seat, vehicle_kind, numbers)
+    curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
         from models.vehicle.payload import laden

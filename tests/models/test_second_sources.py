@@ -236,19 +236,31 @@ ALTERED = [
     ("full_car", {"anti_roll_stiffness_front": 2e4, "track_rear": 1.4, "tyre_damping_front": 150.0}),
     ("full_car", {"roll_centre_height_front": 0.1, "roll_centre_height_rear": 0.15, "anti_roll_stiffness_rear": 1e4}),
     ("full_car", {"roll_centre_height_front": -0.1, "roll_centre_height_rear": 0.2, "pitch_centre_height": 0.3}),
+    ("quarter_car", {"seat_mass": 88.0}),
+    ("half_car", {"seat_mass": 75.0, "seat_x": 0.4}),
+    ("half_car", {"seat_mass": 75.0, "seat_x": -0.3, "pitch_centre_height": 0.2, "anti_dive_front": 0.3}),
+    ("half_car_roll", {"seat_mass": 75.0, "seat_y": 0.4, "roll_centre_height": 0.15, "centre_offset": 0.1}),
+    ("full_car", {"seat_mass": 75.0, "seat_x": 0.2, "seat_y": 0.35}),
+    (
+        "full_car",
+        {"seat_mass": 90.0, "seat_x": -0.8, "seat_y": -0.3, "roll_centre_height_front": 0.1, "roll_centre_height_rear": 0.15}
+        | {"pitch_centre_height": 0.3, "anti_roll_stiffness_front": 1e4, "tyre_damping_front": 150.0, "seat_damping": 900.0},
+    ),
 ]
+SEAT = "\n[seat]\nmass = 80.0\nstiffness = 15e3\ndamping = 400.0\n"
 
 
 @pytest.mark.parametrize(("kind", "more"), ALTERED)
 def test_equations_follow_from_masses_and_lengths(kind, more):
     """Equations of motion and linear model are those that complex steps of mass matrix, lengths and potential energy give."""
-    vehicle = read_vehicle(kind).with_parameters(**more)
+    plain = read_vehicle(kind)
+    vehicle = (parse_vehicle(plain.text + SEAT) if "seat_mass" in more else plain).with_parameters(**more)
     p, model = vehicle.parameters, vehicle.linear_model
     stiffness, damping = (
         np.array([p[f"suspension_{name}{axle(end)}"] for end in CORNERS[kind]]) for name in ("stiffness", "damping")
     )
     own = Mechanism(vehicle, lambda d, v, u: stiffness * d + damping * v - u + 1e3 * np.tanh(30 * d) * v**2)
-    rng, n, c = np.random.default_rng(0), own.k + own.c, own.c
+    rng, n, c = np.random.default_rng(0), own.n, own.c
     x, z_r, u, w = (rng.uniform(-far, far, (40, size)) for far, size in ((0.05, 2 * n), (0.03, c), (1e3, c), (1.0, c)))
     wheels = "anti_dive_front" in more or any(name.startswith("roll_centre_height") for name in more)
     push = rng.uniform(-1e3, 1e3, (40, own.k + c * wheels))

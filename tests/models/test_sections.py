@@ -12,6 +12,7 @@ from models.characteristics.curve_reading import DamperTable, SpringTable, Surfa
 from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stops import StopSection
 from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, Key, Listed, Section, keys, read, required
+from models.kinds.seat import Seat
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
@@ -52,6 +53,7 @@ SECTIONS = {  # each with a table that is right
     StopSection: {"suspension_stroke": 0.1, "stop_stiffness": 1e5},
     ActuatorSection: {"kind": "damper", "c_min": 100.0, "c_max": 1e3},
     PayloadSection: {"mass": 100.0},
+    Seat: {"mass": 80.0, "stiffness": 15e3, "damping": 400.0},
     ControllerSection: {"measured": ["sprung_velocity"]},
     Minimise: {"band": [4.0, 8.0]},
     NormBound: {"norm": 8.6},

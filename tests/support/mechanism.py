@@ -1,8 +1,8 @@
 """Equations of motion from a mass matrix, potential energy and lengths alone, beside those of the project.
 
-Coordinates are q = (heave, pitch, roll; heights of the hubs), without a turn that the body lacks. With the lengths L(q) of
-suspensions, tyres and anti-roll bars, their Jacobian J, and the force that pulls the ends of each together, Lagrange's equations
-are
+Coordinates are q = (heave, pitch, roll; heights of the hubs; travel of a seat), without a turn that the body lacks. With the
+lengths L(q) of suspensions, tyres and anti-roll bars, their Jacobian J, and the force that pulls the ends of each together,
+Lagrange's equations are
 
     M q'' = -J' (forces) - M' q' + d(q' M q' / 2) / dq - dV / dq.
 
@@ -65,7 +65,26 @@ def static_loads(vehicle: Vehicle) -> np.ndarray:
     reach = np.array([p.get("axle_distance_rear" if "front" in end else "axle_distance_front", 1.0) for end in corners])
     if "centre_offset" in p:
         reach = p["track"] / 2 + p["centre_offset"] * np.array([1.0, -1.0])
-    return p["sprung_mass"] * G * reach / reach.sum()
+    loads = p["sprung_mass"] * G * reach / reach.sum()
+    if "seat_mass" in p:
+        x, y = places(vehicle)
+        body = [np.ones(len(x)), *([-x] if "pitch_inertia" in p else []), *([y] if "roll_inertia" in p else [])]
+        at = [1.0, *([-p["seat_x"]] if "seat_x" in p else []), *([p["seat_y"]] if "seat_y" in p else [])]
+        loads = loads + np.linalg.lstsq(np.stack(body), p["seat_mass"] * G * np.array(at), rcond=None)[0]
+    return loads
+
+
+def places(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Returns x and y of the hubs from the centre of mass [m], each of shape (c,)."""
+    p, corners = vehicle.parameters, CORNERS[vehicle.kind.name]
+    x = [p.get(f"axle_distance{axle(end)}", 0.0) * (-1 if "rear" in end else 1) for end in corners]
+    wide = np.array([p.get(f"track{axle(end)}", p.get("track", 0.0)) for end in corners])
+    return np.array(x), wide / 2 * [1 if "left" in end else -1 for end in corners] - p.get("centre_offset", 0.0)
+
+
+def trig(angle):
+    """Returns cosine and sine."""
+    return np.cos(angle), np.sin(angle)
 
 
 class Mechanism:
@@ -79,8 +98,8 @@ class Mechanism:
             return np.array([p.get(f"{name}{axle(end)}", 0.0) for end in corners])
 
         wide = np.array([p.get(f"track{axle(end)}", p.get("track", 0.0)) for end in corners])
-        x = each("axle_distance") * [-1 if "rear" in end else 1 for end in corners]
-        y = wide / 2 * [1 if "left" in end else -1 for end in corners] - p.get("centre_offset", 0.0)
+        x, y = places(vehicle)
+        self.seat = [p.get(f"seat_{name}", 0.0) for name in ("mass", "stiffness", "damping", "x", "y")]
         mass, at, load = p["sprung_mass"], {"_front": x.max(), "_rear": -x.min()}, static_loads(vehicle)
         arms, rolls = [0.0, 0.0], "roll_centre_height_front" in p
         if pitches := "pitch_centre_height" in p:
@@ -100,7 +119,30 @@ class Mechanism:
         self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
         self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
         self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
-        self.inertance = inertance
+        self.inertance, self.n = inertance, self.k + self.c + ("seat_mass" in p)
+
+    def of_seat(self, q):
+        """Returns height and Jacobian of a seat, shapes (T,) and (T, 3, n): it turns by roll, then by pitch, about both axes."""
+        (a, b), (theta, phi), (*_, x, y) = self.arms, self.angles(q), self.seat
+        none, one = np.zeros_like(theta), np.ones_like(theta)
+
+        def pitched(c, s, at):
+            return np.stack([c * at[0] + s * at[2], none, c * at[2] - s * at[0]])
+
+        def rolled(c, s, at):
+            return np.stack([none, c * at[1] - s * at[2], s * at[1] + c * at[2]])
+
+        keep_x, keep_y, (cos, sin), (c, s) = x * one, np.array([[0.0], [1.0], [0.0]]), trig(theta), trig(phi)
+        at = [none, y * one, q[:, -1] + b]
+        inner = rolled(c, s, at) + np.stack([keep_x, none, (a - b) * one])
+        J = np.zeros((len(q), 3, self.n), dtype=q.dtype)
+        J[:, 2, 0] = 1.0
+        if 1 in self.turns:
+            J[:, :, 1] = pitched(-sin, cos, inner).T
+        tilted = [(self.k - 1, rolled(-s, c, at))] if 2 in self.turns else []
+        for i, part in (*tilted, (-1, rolled(c, s, [none, none, one]))):
+            J[:, :, i] = (pitched(cos, sin, part) + keep_y * part).T
+        return q[:, 0] - a + pitched(cos, sin, inner)[2], J
 
     def angles(self, q):
         """Returns pitch and roll, shapes (T,)."""
@@ -109,7 +151,7 @@ class Mechanism:
     def masses(self, q):
         """Returns M, shape (T, n, n). The centre of mass is at (s sin pitch, -b sin roll, z - a + s cos pitch)."""
         (a, b), (theta, phi) = self.arms, self.angles(q)
-        M, s = np.zeros((len(q), self.k + self.c, self.k + self.c), dtype=q.dtype), a - b * (1 - np.cos(phi))
+        M, s = np.zeros((len(q), self.n, self.n), dtype=q.dtype), a - b * (1 - np.cos(phi))
         M[:, 0, 0] = self.mass
         if 1 in self.turns:
             M[:, 1, 1] = self.inertia[0] * np.cos(phi) ** 2 + max(self.inertia) * np.sin(phi) ** 2 + self.mass * s**2
@@ -120,17 +162,22 @@ class Mechanism:
             M[:, 0, i] = M[:, i, 0] = -self.mass * b * np.sin(phi) * np.cos(theta)
         hubs = np.arange(self.k, self.k + self.c)
         M[:, hubs, hubs] = self.unsprung
+        if self.n > self.k + self.c:
+            J = self.of_seat(q)[1]
+            M += self.seat[0] * np.einsum("tij,tik->tjk", J, J)
         return M
 
     def potential(self, q):
         """Returns V of the weight [J], shape (T,)."""
         (a, b), (theta, phi) = self.arms, self.angles(q)
         s = a - b * (1 - np.cos(phi))
-        return G * (self.mass * (q[:, 0] - a + s * np.cos(theta)) + q[:, self.k :] @ self.unsprung)
+        of_seat = self.seat[0] * (self.of_seat(q)[0] - q[:, -1]) if self.n > self.k + self.c else 0.0  # its spring holds it
+        hubs = q[:, self.k : self.k + self.c]
+        return G * (self.mass * (q[:, 0] - a + s * np.cos(theta)) + hubs @ self.unsprung + of_seat)
 
     def lengths(self, q):
         """Returns deflections of the suspensions, heights of the hubs, and angles of the bars, shape (T, 2 c + bars)."""
-        theta, phi, hubs = *(one[:, None] for one in self.angles(q)), q[:, self.k :]
+        theta, phi, hubs = *(one[:, None] for one in self.angles(q)), q[:, self.k : self.k + self.c]
         if self.guided or self.k == 1:
             d = q[:, :1] - theta * self.x + phi * self.y - hubs
         else:
@@ -160,6 +207,8 @@ class Mechanism:
             pull[:, i] = k * lengths[:, i]
         bias = np.einsum("tijk,tj,tk->ti", dM, rates, rates) - np.einsum("tjki,tj,tk->ti", dM, rates, rates) / 2
         push = loads - np.einsum("tij,ti->tj", J, pull) - bias - jacobian(self.potential, q)
+        if self.n > self.k + self.c:
+            push[:, -1] -= self.seat[1] * q[:, -1] + self.seat[2] * rates[:, -1]
         masses = self.masses(q)
         if self.inertance is not None:
             b, turning = self.inertance(lengths[:, :c]), np.zeros((len(q), c))
@@ -170,8 +219,10 @@ class Mechanism:
         return np.concatenate([rates, np.linalg.solve(masses, push[..., None])[..., 0]], axis=1)
 
     def linearised(self, modes):
-        """Returns A, B, Bw and Br of the states (d, modes t, body's rates, hubs' rates), by differences of order 6."""
-        n, c = self.k + self.c, self.c
+        """Returns A, B, Bw and Br of the states (d, modes t, body's rates, hubs' rates; travel and velocity of a seat), by
+        differences of order 6.
+        """
+        n, c, hubs = self.n, self.c, slice(self.k, self.k + self.c)
         still, unit = np.zeros((2 * n, 2 * n)), np.eye(c)
 
         def slope(f, h):
@@ -184,7 +235,10 @@ class Mechanism:
         )
         T, P = np.zeros((len(A), len(A))), len(modes)
         T[:c, :n] = jacobian(self.lengths, still[:1, :n])[0, :c]
-        T[c : c + P, self.k : n], T[c + P :, n:] = modes, np.eye(n)
+        moves = self.k + c
+        T[c : c + P, hubs], T[c + P : c + P + moves, n : n + moves] = modes, np.eye(moves)
+        if n > moves:
+            T[-2, n - 1], T[-1, n:] = 1.0, self.of_seat(still[:1, :n])[1][0, 2]
         R = np.zeros((len(A), c))
         R[c : c + P] = -modes
         A = T @ A @ np.linalg.inv(T)
