@@ -73,6 +73,7 @@ USED = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
 CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
+MOST_POINTS = 2  # columns of ride at other points than those with a person
 AT_POINT = "ride_"  # beginning of the keys of the ride at the points of a vehicle with a person
 KEYS = tuple(one.key for one in FIELDS)
 
@@ -239,12 +240,19 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
 
 
 def _rides(standings: Sequence[Standing]) -> list[Field[Standing]]:
-    """Returns the columns of ride: that of the vehicle, then of other points of vehicles with a person."""
+    """Returns the columns of ride: that of the vehicle, then of other points of vehicles with a person.
+
+    Of more than `MOST_POINTS` other points it is the largest ride.
+    """
     points = dict.fromkeys(key for one in standings for key in one.values if key.startswith(AT_POINT))
     same = [key for key in points if all(one.values.get(key) == RIDE.value(one) for one in standings)]
-    labels = {key: f"ride, {key.removeprefix(AT_POINT).removesuffix('_acceleration').replace('_', ' ')}" for key in points}
+    labels = {key: f"ride, {key.removeprefix(AT_POINT).replace('_acceleration', '').replace('_', ' ')}" for key in points}
     first = replace(RIDE, label=labels[same[0]] if same else RIDE.label)
-    return [first, *(_of(key, labels[key], RIDE.unit) for key in points if key not in same)]
+    others = [key for key in points if key not in same]
+    if len(others) <= MOST_POINTS:
+        return [first, *(_of(key, labels[key], RIDE.unit) for key in others)]
+    largest = Field[Standing]("ride, body", lambda one: max((one.values.get(key) or 0.0 for key in others)) or None, digits)
+    return [first, replace(largest, unit=RIDE.unit)]
 
 
 def _travel(standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
