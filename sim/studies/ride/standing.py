@@ -251,7 +251,7 @@ def _rides(standings: Sequence[Standing]) -> list[Field[Standing]]:
     others = [key for key in points if key not in same]
     if len(others) <= MOST_POINTS:
         return [first, *(_of(key, labels[key], RIDE.unit) for key in others)]
-    largest = Field[Standing]("ride, body", lambda one: max((one.values.get(key) or 0.0 for key in others)) or None, digits)
+    largest = Field[Standing]("ride, body", lambda one: max(one.values.get(key) or 0.0 for key in others) or None, digits)
     return [first, replace(largest, unit=RIDE.unit)]
 
 
