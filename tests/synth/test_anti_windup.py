@@ -95,21 +95,26 @@ def test_nothing_changes_while_nothing_is_clipped(how):
 @pytest.mark.parametrize(
     "how", [*attacks([{}]), {"sample_period": 0.004}, {"sample_period": 0.004, "delay": 1}], ids=["ideal", "sampled", "late"]
 )
-def test_the_states_are_those_of_the_equation(how):
-    """The states of a run are x_c[i+1] = A x_c + B y + L (clip(u) - u), computed from what it measured, and stay bounded."""
+@pytest.mark.parametrize("rate", [None, 4000.0])
+def test_the_states_are_those_of_the_equation(how, rate):
+    """The states of a run are x_c[i+1] = A x_c + B y + L (clip(u) - u), computed from what it measured, and stay bounded; under a
+    rate limit, with the given forces for clip(u).
+    """
     most, time = 40.0, sample_times(limited(1.0), 3.0, 1e-3)
     vehicle = limited(most, **how)
+    vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=rate))
     free, kept = (designed(vehicle, name) for name in ("free", "kept"))
     made = simulate([free, kept], [RoadInput(vehicle, BUMP, time)] * 2)
     runs, every = [made.run(i) for i in (0, 1)], round(how.get("sample_period", 1e-3) / 1e-3)
     law = kept.law.sampled(1e-3 * every)
-    L, x, far = anti_windup_gain(law), np.zeros(2), 0.0
+    L, x, far, given, change = anti_windup_gain(law), np.zeros(2), 0.0, np.zeros(1), (rate or np.inf) * 1e-3 * every
     y = np.stack([runs[1][name] for name in kept.measured], axis=-1)[::every]
     states = np.stack([runs[1][f"controller_{i}"] for i in (1, 2)], axis=-1)[::every]
     for now, expected in zip(y, states, strict=True):
         far = max(far, float(np.abs(x - expected).max()))
         u = law.C @ x + law.D @ now
-        x = law.A @ x + law.B @ now + L @ (np.clip(u, -most, most) - u)
+        given = np.clip(np.clip(u, -most, most), given - change, given + change)
+        x = law.A @ x + law.B @ now + L @ (given - u)
     assert far <= 1e-9 * np.abs(states).max()  # a few roundings a step, of a contraction
     assert np.abs(runs[1]["control_force"]).max() == most
     assert np.abs(states).max() < 1

@@ -3,7 +3,8 @@
 A sample goes so: an input that is not finite is replaced by its last finite value; readings are quantised; a linear law's forces
 are summed over readings, then states, in the order of the columns; forces are limited, then their changes, or they become
 coefficients of adjustable dampers; the states are summed likewise; and what was computed `delay` samples before goes out. A force
-or state that overflows becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the same bits.
+or state that overflows becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the
+same bits.
 """
 
 import re
