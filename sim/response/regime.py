@@ -227,40 +227,32 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
         anti_windup: True if clipped demands of its actuators end the linear regime, see `EndDetector`.
     """
     columns, times = [], response.time
-    way = _way(vehicle, float(times[1] - times[0]), True, anti_windup) if len(times) > 1 else 0.0
+    way, interval = _way_and_interval(vehicle, float(times[1] - times[0]) if len(times) > 1 else 0.0, True)
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
         for limit in end.thresholds(vehicle):
             values = limit.of(response)
             if limit.of_rate:
                 values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # from rest
-                rates = np.abs(command_rates(values, *_lag_and_interval(vehicle, times, True)))
-                share = np.maximum(share, np.fmax.reduce(rates, axis=-1) / limit.value)
+                share = np.maximum(share, np.fmax.reduce(np.abs(command_rates(values, way, interval)), axis=-1) / limit.value)
                 continue
             share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
-            if way and end is SATURATION and limit.signal not in vehicle.dampers:
+            demanded = anti_windup or vehicle.limits.limits_commands
+            if demanded and way and end is SATURATION and limit.signal not in vehicle.dampers:
                 demand = values[..., :-1] + np.diff(values, axis=-1) / way
                 share = np.maximum(share, limit.towards(demand).max(axis=-1) / limit.value)
         columns.append(share)
     return np.stack(columns, axis=-1)
 
 
-def _way(vehicle: Vehicle, timestep: float, predicted: bool, anti_windup: bool) -> float:
-    """Returns the share of the way to its command that a lagging force goes in a step, exactly or as RK4.
+def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
+    """Returns the share of the way to its command that a force goes in a step, exactly or as RK4, and the sample period [s].
 
-    It is 0 without a lag, and where commands beyond the largest force change nothing before the force reaches it.
+    The share is 0 without a lag. A timestep of 0 is that of a single sample.
     """
-    if not (anti_windup or vehicle.limits.limits_commands):
-        return 0.0
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
-    return float(-np.expm1(-z)) if predicted else way_in_step(z)
-
-
-def _lag_and_interval(vehicle: Vehicle, time: Array, predicted: bool) -> tuple[float, float]:
-    """Returns the share of the way to its command that a force goes in a step, 0 without a lag, and the sample period [s]."""
-    h = float(time[1] - time[0]) if len(time) > 1 else math.inf
-    z = (vehicle.limits.actuator_bandwidth or 0.0) * h if math.isfinite(h) else 0.0
-    return float(-np.expm1(-z)) if predicted else way_in_step(z), vehicle.implementation.sample_period or h
+    way = float(-np.expm1(-z)) if predicted else way_in_step(z)
+    return way, vehicle.implementation.sample_period or timestep or math.inf
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
@@ -311,9 +303,12 @@ class EndDetector:
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         h = float(time[1] - time[0]) if len(time) > 1 else 0.0
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
-        self.way = np.array([_way(one, h, predicted, flag) for one, flag in zip(vehicles, flags, strict=True)])
+        self.lags = np.array([_way_and_interval(one, h, predicted) for one in vehicles]).T
+        demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
+        self.way = np.where(
+            demanded, self.lags[0], 0.0
+        )  # elsewhere clipped demands change nothing before a force is at its limit
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
-        self.lags = np.array([_lag_and_interval(one, time, predicted) for one in vehicles]).T
         self.before = dict[int, Array]()  # forces at the last two samples, by signal [N], shape (N, 2)
         self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
         self.places = {signal.name: i for i, signal in enumerate(vehicles[0].kind.signals)}

@@ -277,7 +277,11 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
         ("", ["--controller", "I", "--refine"], "combine it only with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
-        ("[limits]\nforce_rate = 1e4\n", ["--controller", "I"], "force_rate limits the change .* needs a sample period"),
+        (
+            "[limits]\nforce_rate = 1e4\n",
+            ["--controller", "I"],
+            r"force_rate limits changes .* give \[implementation\] sample_period",
+        ),
         (BUILT + "[limits]\nforce_rate = 1e4\n", [*WHOLE, "--range", "sprung_velocity=1"], "cannot limit the rate of forces"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),

@@ -170,10 +170,7 @@ def exported_law(
         )
     rate = vehicle.limits.force_rate
     if rate is not None and how.sample_period is None:
-        raise InputError(
-            "force_rate limits the change of a force per sample, so the code needs a sample period; give [implementation] "
-            "sample_period"
-        )
+        raise InputError("force_rate limits changes from sample to sample; give [implementation] sample_period")
     if rate is not None and numbers in BITS:
         raise InputError(f"{numbers} code cannot limit the rate of forces (force_rate); give double or float")
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []

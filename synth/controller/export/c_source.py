@@ -171,11 +171,7 @@ class CSource:
         ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, self.in_units, strict=True))
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
-        state += (
-            f"    {number} given[{len(law.outputs)}]; /* the last forces, before their delay */\n"
-            if law.change is not None
-            else ""
-        )
+        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, undelayed */\n" * (law.change is not None)
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
         if self.fixed is None:
             state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
