@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import MonitoredBatch, simulate
-from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisation
+from sim.response.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
 from sim.runs.report import controller_notes, controller_object, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
@@ -121,13 +121,27 @@ def test_the_states_are_those_of_the_equation(how, rate):
     assert np.abs(runs[0]["controller_1"]).max() > 100 * np.abs(states).max()
 
 
-def test_a_run_that_ends_at_the_rate_limit_agrees():
-    """The law's states are compared up to the end, also where the last three commands under the rate limit have not arrived."""
-    vehicle = limited(40.0, sample_period=0.004, delay=3)
-    vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=200.0))
+@pytest.mark.parametrize("lag", [None, 60.0])
+def test_the_linear_regime_ends_with_the_first_command_at_the_rate_limit(lag):
+    """The end is that of a run, of a batch in blocks and of a scaled linear response. The verdict compares states up to the last
+    sample, also where commands under the rate limit have not arrived.
+    """
+    vehicle, end = limited(40.0, sample_period=0.004, delay=3), END_NAMES.index(RATE_LIMIT.name)
+    vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=200.0, actuator_bandwidth=lag))
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.176)
+    road = RoadInput(vehicle, BUMP, run.physics.time)
+    batch = MonitoredBatch([run.controller] * 2, [road] * 2)
+    for _ in batch.blocks():
+        pass
+    commands = simulate([run.controller], [road]).requested_force[0, :, 0]
+    first = run.physics.time[(np.abs(np.diff(commands, prepend=0.0)) > 0.8 * (1 - 1e-9)).argmax()]
     assert run.passed
-    assert run.agreement.ended["rate limit"] < 0.11
+    assert 0 < first == run.agreement.ended[RATE_LIMIT.name]
+    assert (batch.ends.times[:, end] == first).all()
+    (factor,) = 1 / utilisation(vehicle, run.sampled)[[end]]
+    times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]))[:, end]
+    assert times[0] == first
+    assert np.isfinite(times).tolist() == [True, False, True]
 
 
 def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
