@@ -241,7 +241,7 @@ class StopSection(Section):
 
     by_place: ClassVar[bool] = True
     hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("actuator_force", "actuator_bandwidth", "limit"), "is a key of all suspensions; move it to [limits]"
+        ("actuator_force", "actuator_bandwidth", "force_rate", "limit"), "is a key of all suspensions; move it to [limits]"
     )
 
     suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel either way before the bump stop")] = None

@@ -347,9 +347,9 @@ def _entry(
         if not law.states:
             raise InputError("has anti_windup, but its law has no states that can wind up; omit anti_windup")
         law = replace(law, anti_windup=asked.anti_windup)
-    if asked.anti_windup is not None and not dampers and limits.actuator_force is None:
+    if asked.anti_windup is not None and not dampers and limits.actuator_force is None and limits.force_rate is None:
         raise InputError(
-            "has anti_windup, but no limit clips its forces; omit anti_windup, or give [limits] actuator_force, or "
+            "has anti_windup, but no limit clips its forces; omit anti_windup, or give [limits] actuator_force or force_rate, or "
             '[actuators] kind = "damper"'
         )
     return ControllerEntry(

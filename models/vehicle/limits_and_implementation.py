@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+
 from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
 from models.characteristics.stops import Pair, StopPair, StopSection, read_places, stop_words, stops_at
+from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import rough
@@ -34,6 +37,7 @@ class LimitsSection(StopSection):
 
     actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
     actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
+    force_rate: Annotated[float, SI("N/s", "largest change of every actuator's command per second")] | None = None
     limit: Annotated[str, Choice("`command` limits the command before the lag, `force` the force behind it", ORDERS)] | None = (
         None
     )
@@ -42,6 +46,11 @@ class LimitsSection(StopSection):
         super().__post_init__()
         if self.limit is not None and self.actuator_force is None:
             raise InputError(f"has limit = {self.limit!r}, but no actuator_force; give actuator_force [N], or omit limit")
+        if self.limit == "force" and self.force_rate is not None and self.actuator_bandwidth is not None:
+            raise InputError(
+                'has limit = "force" and force_rate, but with a rate limit actuator_force limits commands, too; give '
+                'limit = "command", or omit limit'
+            )
 
 
 @dataclass(frozen=True)
@@ -83,20 +92,24 @@ class Limits(LimitsSection):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The limits as a section that `read_limits` reads; None for limits that are not given. `limit` is then left out."""
+        """The limits as a section that `read_limits` reads; None for limits that are not given. `limit` and `force_rate` are then
+        left out.
+        """
         limits = asdict(self)
         places = {name: {key: one for key, one in place.items() if one is not None} for name, place in limits.pop("places")}
-        return {name: one for name, one in limits.items() if one is not None or name not in ("limit", STOP)} | places
+        optional = ("limit", "force_rate", STOP)
+        return {name: one for name, one in limits.items() if one is not None or name not in optional} | places
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
         """The keys that limit actuators."""
-        return tuple(name for name in ("actuator_force", "actuator_bandwidth", "limit") if getattr(self, name) is not None)
+        keys = ("actuator_force", "actuator_bandwidth", "force_rate", "limit")
+        return tuple(name for name in keys if getattr(self, name) is not None)
 
     @property
     def limits_commands(self) -> bool:
-        """True if commands are limited before the lag."""
-        return self.actuator_force is not None and self.limit == "command"
+        """True if commands are limited before the lag, as they always are under a rate limit."""
+        return self.actuator_force is not None and (self.limit == "command" or self.force_rate is not None)
 
     @property
     def largest(self) -> tuple[float, float]:
@@ -108,7 +121,7 @@ class Limits(LimitsSection):
     @property
     def without_actuators(self) -> "Limits":
         """The limits of the suspensions alone."""
-        return replace(self, actuator_force=None, actuator_bandwidth=None, limit=None)
+        return replace(self, actuator_force=None, actuator_bandwidth=None, force_rate=None, limit=None)
 
     def without(self, part: str) -> "Limits":
         """Returns the limits without a part; see `Vehicle.without`."""
@@ -123,6 +136,8 @@ class Limits(LimitsSection):
             phrases += stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
+        if self.force_rate is not None:
+            phrases.append(f"commands that change by up to {self.force_rate:g} N/s")
         if self.actuator_bandwidth is not None:
             hertz = rough(self.actuator_bandwidth / (2 * math.pi))
             phrases.append(f"actuators with bandwidth {hertz} Hz ({self.actuator_bandwidth:g} rad/s)")
@@ -152,6 +167,40 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float:
     if not is_finite(value) or not 0 <= value <= MOST_DELAY:
         raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
     return int(value) if value == int(value) else value
+
+
+@dataclass(frozen=True, eq=False)
+class CommandLimiter:
+    """Limiter of the commands of force actuators with a rate limit, for N runs. Other runs pass unchanged.
+
+    Attributes:
+        largest: largest command [N], shape (N, 1), or infinity.
+        change: largest change of a command from sample to sample [N], shape (N, 1), or infinity.
+    """
+
+    largest: Array
+    change: Array
+
+    def __call__(self, requested: Array, last: Array) -> Array:
+        """Returns the commands of a sample for requested forces and the last commands [N], shape (N, m) each."""
+        clipped = np.minimum(np.maximum(requested, -self.largest), self.largest)
+        return np.minimum(np.maximum(clipped, last - self.change), last + self.change)
+
+
+def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter | None:
+    """Returns the limiter of N vehicles' commands; None if none has a rate limit.
+
+    Args:
+        vehicles: vehicles without semi-active dampers, if any has a rate limit.
+        timestep: sample period of controllers without one [s].
+    """
+    if all(vehicle.limits.force_rate is None for vehicle in vehicles):
+        return None
+    unlimited, both = (math.inf, math.inf), list[tuple[float, float]]()
+    for limits, how in ((vehicle.limits, vehicle.implementation) for vehicle in vehicles):
+        change = None if limits.force_rate is None else limits.force_rate * (how.sample_period or timestep)
+        both.append(unlimited if change is None else (limits.largest[0], change))
+    return CommandLimiter(*np.array(both).T[..., None])
 
 
 LATE = "delay from a measurement to the force computed from it, in samples, or as a time"

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.python_law import Programmed, is_driver
 from models.laws.semi_active import SemiActive
-from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.limits_and_implementation import Implementation, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import Actuators, closing_names
 from sim.physics.driver import (
@@ -48,7 +48,8 @@ class Computer:
     """Driver of some runs with one sample period, as their `[implementation]` runs it.
 
     A measurement is quantisation * round((signal + noise) / quantisation). The commands computed from it act `delay` samples
-    later, which may be a fraction. Commands are 0 before the first ones arrive. The driver's states are never late.
+    later, which may be a fraction. A rate limit acts on them before the delay. Commands are 0 before the first ones arrive. The
+    driver's states are never late.
 
     Attributes:
         driver: the driver.
@@ -80,6 +81,8 @@ class Computer:
             timestep: timestep of the runs [s].
         """
         self.driver, self.runs, self._actuators, self._heights = driver, runs, actuators, heights
+        self._limiter = None if driver.requests == "commands" else command_limiter(vehicles, timestep)
+        self._given = np.zeros((len(how), actuators.size))  # commands of the last sample, before their delay
         self.period, closing = steps_per_sample(how[0], timestep), closing_names(vehicles[0])
         self._state = self.used = driver.start(vehicles, timestep)
         whole = (*names, *closing)
@@ -122,6 +125,8 @@ class Computer:
             if not k:
                 self._check(np.shape(requested))
             computed = self._actuators.commands(requested, closing, self.runs, self.driver.requests)
+            if self._limiter is not None:
+                computed = self._given = self._limiter(computed, self._given)
             if len(self._waiting) == 1:
                 commands[self.runs] = computed
                 return

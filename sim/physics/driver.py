@@ -16,7 +16,7 @@ from models.common.errors import InputError
 from models.laws.law import ControlLaw
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
-from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.limits_and_implementation import command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
 from synth.controller.controller import AnyController, Controller
@@ -162,7 +162,8 @@ class LinearDriver:
                 gain = gains[id(one)]
                 self._windup[i, : len(gain)] = gain
             most = [vehicle.limits.actuator_force for vehicle in vehicles]
-            self._range = range_of(vehicles, most)
+            self._range, self._limiter = range_of(vehicles, most), command_limiter(vehicles, timestep)
+            self._given = np.zeros((count, m))  # commands of the last sample, under a rate limit
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)
         self._preview = np.zeros((count, m, len(first.kind.wheels), self.ahead))
@@ -183,7 +184,11 @@ class LinearDriver:
             forces = forces + np.matvec(self._preview.reshape(*forces.shape, -1), ahead.reshape(len(y), -1))
         if self._windup is not None and self._range is not None:
             closing = y[:, q:] if y.shape[1] > q else None
-            state = state + np.matvec(self._windup, self._range.clipped_off(forces, closing))
+            lost = self._range.clipped_off(forces, closing)
+            if self._limiter is not None:
+                self._given = self._limiter(forces, self._given)
+                lost = np.where(np.isfinite(self._limiter.change), self._given - forces, lost)
+            state = state + np.matvec(self._windup, lost)
         return forces, state
 
 

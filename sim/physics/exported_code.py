@@ -10,6 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.semi_active import SemiActive
+from models.vehicle.limits_and_implementation import command_limiter
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
 from sim.physics.driver import Request, RunDriver, SemiActiveDriver
@@ -62,6 +63,7 @@ class CodeDriver:
         self._sign = np.repeat([1.0, -1.0], [q, len(law.inputs) - q])  # the code reads velocities of extension
         if self._semi_active is not None:
             self._semi_active.start(vehicles, timestep)
+        self._limiter, self._given = command_limiter(vehicles, timestep), np.zeros_like(self._nominal)
         size = len(law.outputs) * (1 if self._range is None else 2)
         self._late = [np.zeros((len(vehicles), size))] * law.delay  # commands of our law that are not due yet
         return np.zeros((len(vehicles), law.states))
@@ -74,12 +76,15 @@ class CodeDriver:
             given[i], after[i] = step.forces, step.states
         given -= self._nominal
         law, m = self._law, given.shape[1]
-        if self._range is None and law.limit is None:
+        if self._range is None and law.limit is None and self._limiter is None:
             return given, after
         self._late.append(self._ours(y, state))
         ours = self._late.pop(0)
         if self._range is not None:
             return np.concatenate([given, ours[:, m:]], axis=1), after
+        if self._limiter is not None:
+            limited, self._given = self._limiter(ours, self._given), given
+            return np.where(limited == ours, given, limited), after
         most = law.limit if law.fixed is None or law.fixed.limit is None else law.fixed.limit * law.fixed.given
         assert most is not None, "a law without a limit has returned"
         return np.where(np.abs(given) >= NEARLY * most, ours, given), after

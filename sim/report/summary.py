@@ -14,7 +14,7 @@ from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
-from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
+from sim.response.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
 from sim.runs.steps import WHEN
@@ -83,7 +83,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
     road = "road" if scope.own_road is not None else "bump"
     for run in runs:
         ended = reached(scope.vehicle, run.physics)
-        for end in (one for one in (BUMP_STOP, SATURATION) if one.thresholds(scope.vehicle)):
+        for end in (one for one in (BUMP_STOP, SATURATION, RATE_LIMIT) if one.thresholds(scope.vehicle)):
             when = float(ended[REGIME_ENDS.index(end)])
             kept = "✓ not reached" if math.isinf(when) else f"✗ at {WHEN.text(when)}"
             rows.append((f"{end.name}, not over the {road}", run.controller.name, kept))

@@ -1,8 +1,9 @@
 """Ends of the linear regime, and their times: a tyre off the ground, a suspension, actuator, damper or curve at its limit."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its li
 # m; the stiffest tyre, compressed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
 # 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
+RATE_REACHED = 1 - 1e-7  # share of a rate limit that counts as reached: behind a lag a command follows from rounded forces
 MISSED = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
 BLOCK = 200  # samples per block of many runs, so that it stays in the cache
 
@@ -36,6 +38,7 @@ class Threshold:
         value: limit of sign * signal, or of its magnitude [the signal's unit].
         tyre: velocities that count, in addition to the deflection, for a tyre that damps; None for the signal alone.
         part: part whose force beyond its line counts [N]; None for the signal.
+        of_rate: True if the value limits the change of an actuator's command per second, see `command_rates`.
     """
 
     signal: str
@@ -43,6 +46,7 @@ class Threshold:
     value: float
     tyre: DampedTyre | None = None
     part: "SuspensionPart | None" = None
+    of_rate: bool = False
 
     def of(self, response: Response) -> Array:
         """Returns the signal of a response, the equivalent deflection of a tyre, or the force beyond a damper's line."""
@@ -108,13 +112,13 @@ def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
 
 
 def _either_way(
-    names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None]
+    names: Callable[[Vehicle], Sequence[str]], limit: Callable[[Vehicle], float | None], of_rate: bool = False
 ) -> Callable[[Vehicle], list[Threshold]]:
     """Returns thresholds on some signals of a vehicle, if it has the limit."""
 
     def thresholds(vehicle: Vehicle) -> list[Threshold]:
         value = limit(vehicle)
-        return [Threshold(name, 0.0, value) for name in names(vehicle)] if value is not None else []
+        return [Threshold(name, 0.0, value, of_rate=of_rate) for name in names(vehicle)] if value is not None else []
 
     return thresholds
 
@@ -171,6 +175,14 @@ SATURATION = End(
     ("Diamond", (0, 220, 220)),
     _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.actuator_force),
 )
+RATE_LIMIT = End(
+    "rate limit",
+    "rate limited",
+    "rate limit: a command first changes as fast as force_rate allows at {when}",
+    "#d9b8c4",
+    ("Plus", (255, 140, 60)),
+    _either_way(lambda vehicle: vehicle.linear_model.inputs, lambda vehicle: vehicle.limits.force_rate, of_rate=True),
+)
 FLAT = End(  # no model of the vehicle holds from there
     "flat tyre",
     "",
@@ -197,7 +209,7 @@ DAMPER = End(
     lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.parts.adjustable],
     exact=True,
 )
-REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
+REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, RATE_LIMIT, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
 DEMAND_CLIPPED = (
     "saturation: the command of a lagging actuator first exceeds its largest force at {when}; anti-windup acts from then on"
@@ -215,28 +227,48 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
         anti_windup: True if clipped demands of its actuators end the linear regime, see `EndDetector`.
     """
     columns, times = [], response.time
-    way = _way(vehicle, float(times[1] - times[0]), True, anti_windup) if len(times) > 1 else 0.0
+    way, interval = _way_and_interval(vehicle, float(times[1] - times[0]) if len(times) > 1 else 0.0, True)
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
         for limit in end.thresholds(vehicle):
             values = limit.of(response)
+            if limit.of_rate:
+                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # from rest
+                share = np.maximum(share, np.fmax.reduce(np.abs(command_rates(values, way, interval)), axis=-1) / limit.value)
+                continue
             share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
-            if way and end is SATURATION and limit.signal not in vehicle.dampers:
+            demanded = anti_windup or vehicle.limits.limits_commands
+            if demanded and way and end is SATURATION and limit.signal not in vehicle.dampers:
                 demand = values[..., :-1] + np.diff(values, axis=-1) / way
                 share = np.maximum(share, limit.towards(demand).max(axis=-1) / limit.value)
         columns.append(share)
     return np.stack(columns, axis=-1)
 
 
-def _way(vehicle: Vehicle, timestep: float, predicted: bool, anti_windup: bool) -> float:
-    """Returns the share of the way to its command that a lagging force goes in a step, exactly or as RK4.
+def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tuple[float, float]:
+    """Returns the share of the way to its command that a force goes in a step, exactly or as RK4, and the sample period [s].
 
-    It is 0 without a lag, and where commands beyond the largest force change nothing before the force reaches it.
+    The share is 0 without a lag. A timestep of 0 is that of a single sample.
     """
-    if not (anti_windup or vehicle.limits.limits_commands):
-        return 0.0
     z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
-    return float(-np.expm1(-z)) if predicted else way_in_step(z)
+    way = float(-np.expm1(-z)) if predicted else way_in_step(z)
+    return way, vehicle.implementation.sample_period or timestep or math.inf
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
+def command_rates(forces: Array, way: Any, interval: Any) -> Array:
+    """Returns the changes of commands from sample to sample over the sample period [N/s], shape (..., T - 1).
+
+    Behind a lag a command follows from the forces at both ends of a step, so the last one is unknown, and its change is NaN.
+
+    Args:
+        forces: forces at the samples [N], shape (..., T).
+        way: share of the way to its command that a force goes in a step, shape (...); 0 without a lag.
+        interval: sample period [s], shape (...).
+    """
+    way, interval = np.asarray(way)[..., None], np.asarray(interval)[..., None]
+    ahead = np.diff(forces, axis=-1, append=np.nan) / np.where(way > 0, way, 1.0)
+    return np.diff(forces + np.where(way > 0, ahead, 0.0), axis=-1) / interval
 
 
 class EndDetector:
@@ -250,7 +282,7 @@ class EndDetector:
 
     Anti-windup acts from the first sample at which the demand on an actuator is clipped, and so does a limit of commands. Behind
     a lag that is before the force reaches its limit. The demand follows from the forces at both ends of a step, and its clipping
-    counts as saturation.
+    counts as saturation. The changes of commands, which a rate limit limits, follow likewise.
 
     Attributes:
         times: first time of each end [s], shape (N, E), or infinity.
@@ -271,8 +303,13 @@ class EndDetector:
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
         h = float(time[1] - time[0]) if len(time) > 1 else 0.0
         flags = [False] * len(vehicles) if anti_windup is None else anti_windup
-        self.way = np.array([_way(one, h, predicted, flag) for one, flag in zip(vehicles, flags, strict=True)])
+        self.lags = np.array([_way_and_interval(one, h, predicted) for one in vehicles]).T
+        demanded = [flag or one.limits.limits_commands for one, flag in zip(vehicles, flags, strict=True)]
+        self.way = np.where(
+            demanded, self.lags[0], 0.0
+        )  # elsewhere clipped demands change nothing before a force is at its limit
         self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
+        self.before = dict[int, Array]()  # forces at the last two samples, by signal [N], shape (N, 2)
         self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
         self.places = {signal.name: i for i, signal in enumerate(vehicles[0].kind.signals)}
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
@@ -311,6 +348,9 @@ class EndDetector:
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
         for end, threshold, signal, limit, read in self.limits:
+            if threshold.of_rate:
+                self._note_rates(end, start, signal, values, limit)
+                continue
             towards = threshold.towards(read(lambda name: values[:, self.places[name]]))
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
@@ -319,6 +359,15 @@ class EndDetector:
                 demands = self._demands(signal, values)
                 # The first of a later block is that of the last sample before it.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
+
+    def _note_rates(self, end: int, start: int, signal: int, values: Array, limit: Array) -> None:
+        """Notes the first sample of each run at which a command changes as fast as its limit allows [N/s], shape (N,)."""
+        before = self.before.get(signal, np.zeros((values.shape[2], 2)))
+        forces = np.concatenate([before, values[:, signal].T], axis=1)
+        self.before[signal] = forces[:, -2:]
+        # The first change is that of the last sample before the block, and 0 at the start.
+        rates = np.abs(command_rates(forces, *self.lags)).T
+        self._note(end, start - 1, rates >= RATE_REACHED * limit)
 
     def _note(self, end: int, start: int, beyond: Array) -> None:
         """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""

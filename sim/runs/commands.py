@@ -14,7 +14,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
-from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.limits_and_implementation import CommandLimiter, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.outputs import forces_ahead
 from sim.linear.sampled_response import roundings
@@ -157,13 +157,16 @@ def _commands(
     inputs = vehicle.linear_model.inputs
     names = (*inputs, *(f"missing {name}" for name in inputs))
     arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
-    after = None
+    after, limiter = None, command_limiter([vehicle], road.timestep)
+    logged = commanded.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
     if isinstance(controller, Controller) and code_of(controller) is None:
-        computed, allowed, after = _linear(controller, road, samples)
+        computed, allowed, after = _linear(controller, road, samples, limiter, logged)
     elif isinstance(controller, SemiActive) and code_of(controller) is None:
         computed, allowed = _semi_active(controller, vehicle, samples)
     else:
         computed = _again(controller, road, samples)
+        if limiter is not None and driver_of([controller]).requests != "commands":
+            computed = _limited(limiter, computed, logged)
         allowed = np.full_like(computed, EXACT) * np.abs(computed).max(axis=0, initial=0.0)
     for j in range(computed.shape[1]):
         expected, slack = (np.where(arrived >= 0, one[np.maximum(arrived, 0), j], 0.0) for one in (computed, allowed))
@@ -176,8 +179,28 @@ def _commands(
             yield f"state {i + 1} of the law", times[samples.due[1:]], far, np.maximum(slack[:-1] / scale, EXACT)
 
 
-def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains."""
+def _limited(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
+    """Returns the commands of samples under a rate limit, shape (K, m), each from the logged command of the sample before.
+
+    Args:
+        logged: commands of the first samples, which have arrived, shape (.., m). Later commands follow from those computed here.
+    """
+    before = np.zeros_like(requested)
+    before[1 : len(logged) + 1] = logged[: max(len(before) - 1, 0)]
+    for i in range(len(logged) + 1, len(before)):
+        before[i] = limiter(requested[i - 1 : i], before[i - 1 : i])[0]
+    return limiter(requested, before)
+
+
+def _linear(
+    controller: Controller, road: RoadInput, samples: _Samples, limiter: CommandLimiter | None, logged: Array
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Returns the commands of a linear law, shape (K, c), and its next states, shape (K, k), each with what rounding explains.
+
+    Args:
+        limiter: limiter of a rate limit, or None.
+        logged: see `_limited`.
+    """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)
     forces, of_forces = y @ law.D.T + x @ law.C.T, np.abs(y) @ np.abs(law.D).T + np.abs(x) @ np.abs(law.C).T
@@ -187,16 +210,18 @@ def _linear(controller: Controller, road: RoadInput, samples: _Samples) -> tuple
     after, of_after = y @ law.B.T + x @ law.A.T, np.abs(y) @ np.abs(law.B).T + np.abs(x) @ np.abs(law.A).T
     slack = EXACT * np.broadcast_to(of_forces.max(axis=0, initial=0.0), forces.shape)
     closing = samples.closing if vehicle.dampers else None
+    given = forces if limiter is None else _limited(limiter, forces, logged)
     if law.anti_windup is not None:
         from models.laws.anti_windup import anti_windup_gain
         from models.parts.damper_range import range_of
 
         of, gain = range_of([vehicle], [vehicle.limits.actuator_force]), anti_windup_gain(law)
-        after = after + of.clipped_off(forces, closing) @ gain.T
+        lost = of.clipped_off(forces, closing) if limiter is None else given - forces
+        after = after + lost @ gain.T
         of_after = of_after + of_forces @ np.abs(gain).T
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
     if closing is None:
-        return forces, slack, states
+        return given, slack, states
     from models.parts.damper_range import range_of
 
     of = range_of([vehicle])

@@ -159,6 +159,8 @@ def _clipped(vehicle: Vehicle) -> str:
     """Returns where the forces are clipped, in words; empty if they are not."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
+    if (rate := vehicle.limits.force_rate) is not None:
+        return f"at {rate / 1e3:g} kN/s"
     return "at the limits of the semi-active dampers" if vehicle.dampers else ""
 
 

@@ -43,6 +43,7 @@ REGIMES = {  # a road, a controller, and sections of the vehicle file
     "stops": (Bump(0.12, length=3.0, speed=15.0), "passive", STOPS),
     "stops with tables": (Bump(0.12, length=3.0, speed=15.0), "passive", TABLES),
     "saturation": (Bump(0.1, length=3.0, speed=15.0), "law", FORCE),
+    "rate limit": (Bump(0.1, length=3.0, speed=15.0), "law", FORCE + "force_rate = 5e3\n"),
     "semi-active": (Bump(0.06), "sky", VALVE),
     "curves": (Bump(0.06), "passive", ""),
 }
@@ -63,7 +64,9 @@ def clean_run(kind: str, regime: str, law: str = "", built: bool = False) -> Run
     corners, measured = CORNERS[kind], VELOCITIES[kind]
     gain = [[-2000.0, *[-300.0 * (-1) ** i] * (len(measured) - 1)] for i, _ in enumerate(corners)]
     sections += f"[controllers.law]\nmeasured = {measured}\nA = [[-2.0]]\nB = {[[1.0] * len(measured)]}\n"
-    sections += f"C = {[[-900.0]] * len(corners)}\nD = {gain}\n" + "anti_windup = 20.0\n" * (regime == "saturation")
+    sections += f"C = {[[-900.0]] * len(corners)}\nD = {gain}\n" + "anti_windup = 20.0\n" * (
+        regime in ("saturation", "rate limit")
+    )
     sections += '[controllers.sky]\nsemi_active = "skyhook_linear"\n' * (regime == "semi-active")
     text = f"{read_vehicle(kind).text}\n{sections}"
     if regime == "curves":
@@ -249,6 +252,23 @@ def test_wrong_commands_are_found(regime, law, monkeypatch):
     for name, run in runs.items():
         assert changed(run, clean), name
         assert verdict(run).text.startswith("COMMANDS DO NOT AGREE with the control law from "), name
+
+
+@pytest.mark.parametrize("law", ["law", *attacks(["python"])])
+@pytest.mark.parametrize("kind", ["quarter_car", *attacks(["half_car", "full_car"])])
+def test_another_rate_limit_is_found(kind, law):
+    """A rate limit of physics that is 2 % off is found by the first command at the limit, 8 ms after its sample, or by the law's
+    states after this sample.
+    """
+    clean = clean_run(kind, "rate limit", law, built=True)
+    limits = clean.vehicle.limits
+    other = dataclasses.replace(clean.vehicle, limits=dataclasses.replace(limits, force_rate=(1 + SHARE) * limits.force_rate))
+    commands, ended = faulty(clean, other).agreement.commands, clean.agreement.ended["rate limit"]
+    assert ended == clean.agreement.until < clean.physics.time[-1]
+    assert commands is not None
+    assert not commands.agrees
+    assert commands.since == pytest.approx(ended - 4e-3 * (law == "law"))
+    assert np.isfinite(clean.agreement.ended["force saturation"])
 
 
 @pytest.mark.parametrize("regime", ["saturation", *attacks(["linear", "semi-active"])])

@@ -99,6 +99,8 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
     steps = {name: float(10.0 ** rng.uniform(-4, -1)) for name in measured if rng.random() < 0.4}
     how = dataclasses.replace(vehicle.implementation, sample_period=0.005, delay=int(rng.integers(4)), quantisation=steps)
     limits = dataclasses.replace(vehicle.limits, actuator_force=float(rng.uniform(50, 2000)) if rng.random() < 0.5 else None)
+    if numbers in ("double", "float") and rng.random() < 0.5:
+        limits = dataclasses.replace(limits, force_rate=float(rng.uniform(1e3, 1e6)))
     built = dataclasses.replace(vehicle, implementation=how, limits=limits)
     controller = dataclasses.replace(_given(vehicle, "passive"), name="law", measured=measured, law=law)
     double = exported_law(built, controller, "double", "law")
@@ -192,17 +194,20 @@ def _given(vehicle: Vehicle, name: str) -> Controller:
     return Designer(vehicle, search=False).design(name)
 
 
-def test_the_python_step_is_the_law():
+@pytest.mark.parametrize(("rate", "change"), [("", np.inf), ("force_rate = 1000.0\n", 5.0)])
+def test_the_python_step_is_the_law(rate, change):
     """By matrices, without an order of summation: states, forces, limits, anti-windup and delay are those of the harness."""
-    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + "delay = 2\n\n[limits]\nactuator_force = 30.0\n")
+    vehicle = parse_vehicle(
+        read_vehicle("quarter_car").text + LAW + BUILT + "delay = 2\n\n[limits]\nactuator_force = 30.0\n" + rate
+    )
     controller = _given(vehicle, "law")
     law, run = exported_law(vehicle, controller, "double", "law"), controller.law.sampled(0.005)
     step, x, line, L = PythonStep(law), np.zeros(2), [np.zeros(1)] * 2, anti_windup_gain(run)
-    clipped = 0
+    clipped, given = 0, np.zeros(1)
     for row in random_inputs(law, 500, 1):
         y = np.array(row)
         force = run.C @ x + run.D @ y
-        given = np.clip(force, -30.0, 30.0)
+        given = np.clip(np.clip(force, -30.0, 30.0), given - change, given + change)
         x = run.A @ x + run.B @ y + L @ (given - force)
         line.append(given)
         clipped += bool(np.any(given != force))
@@ -272,6 +277,12 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
         ("", ["--controller", "I", "--refine"], "combine it only with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not an integer"),
+        (
+            "[limits]\nforce_rate = 1e4\n",
+            ["--controller", "I"],
+            r"force_rate limits changes .* give \[implementation\] sample_period",
+        ),
+        (BUILT + "[limits]\nforce_rate = 1e4\n", [*WHOLE, "--range", "sprung_velocity=1"], "cannot limit the rate of forces"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
         ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE"),

@@ -61,6 +61,7 @@ def road_under(vehicle: Vehicle, seconds: float, seed: int) -> RoadInput:
     ("name", "text"),
     [
         ("law", LAW + BUILT + LIMITED),
+        ("law", LAW + BUILT + LIMITED + "force_rate = 2000.0\n"),
         *attacks([("law", LAW + BUILT + WIDE), ("I", ""), ("skyhook_linear", None)]),
         ("sky", None),
     ],

@@ -5,7 +5,7 @@ import pytest
 
 from models import Bump, InputError, parse_vehicle, read_vehicle
 from sim import run
-from sim.runs.report import verdict
+from sim.runs.report import reasons, verdict
 
 ROAD = Bump(height=0.05)
 DAMPER = '\n[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0\n'
@@ -85,6 +85,80 @@ def test_an_end_at_once_is_said_in_the_short_verdict():
     [one] = run(parse_vehicle(read_vehicle("quarter_car").text + "\n[limits]\nactuator_force = 100.0\n"), Full(), ROAD, 0.2)
     assert one.agreement.until == 0
     assert "nothing is compared with linear analysis, which applies until 0 s (" in verdict(one).text
+
+
+class Timed(Proportional):
+    """Requests a force that depends on time alone."""
+
+    def __init__(self, force) -> None:
+        self.force = force
+
+    def start(self, vehicles, timestep):
+        self.timestep = timestep
+        return super().start(vehicles, timestep)
+
+    def step(self, k, y, ahead, state):
+        return np.full((len(y), 1), self.force(k * self.timestep)), state
+
+
+def rated(*lines: str):
+    """The paper's car with actuators whose force changes by 20 kN/s at most."""
+    return parse_vehicle("\n".join([read_vehicle("quarter_car").text, "[limits]", 'force_rate = "20 kN/s"', *lines]))
+
+
+@pytest.mark.parametrize(("period", "delay", "most"), [(1, 0, 1500.0), (5, 0, 1030.0), (5, 2, 1030.0)])
+@pytest.mark.parametrize("lag", [None, 60.0])
+def test_a_step_request_becomes_a_ramp(period, delay, most, lag):
+    """A request of 1500 N from 0.1 s on gives a ramp of 20 kN/s up to the largest force, held from sample to sample, and a lag
+    follows this ramp. The linear regime ends at the first sample of the ramp, where the rate is reached.
+    """
+    lines = [f"actuator_force = {most}", *([f"actuator_bandwidth = {lag}"] if lag else [])]
+    lines += ["[implementation]", f"sample_period = {1e-3 * period}", f"delay = {delay}"]
+    [one] = run(rated(*lines), Timed(lambda t: 1500.0 * (t > 0.0999)), ROAD, 0.4)
+    assert one.passed
+    k, z = np.arange(401), 1e-3 * (lag or 0.0)
+    ramp = np.clip(20.0 * period * ((k - 100) // period - delay + 1), 0.0, most)
+    force, way = np.zeros(401), z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # of RK4
+    for i in range(400 if lag else 0):
+        force[i + 1] = force[i] + way * (ramp[i] - force[i])
+    np.testing.assert_allclose(one.physics["control_force"], force if lag else ramp, rtol=0, atol=1e-9)
+    assert one.agreement.ended["rate limit"] == one.agreement.until == pytest.approx(0.1 + 1e-3 * period * delay)
+    assert any("rate limit: a command first changes as fast as force_rate allows at" in line.text for line in reasons(one))
+
+
+def test_a_fast_sine_becomes_a_triangle():
+    """A sine of 8 Hz with slopes up to 75 kN/s gives a triangle with slopes of 20 kN/s and the peak 20 kN/s / 32 Hz."""
+    [one] = run(rated(), Timed(lambda t: 1500.0 * np.sin(2 * np.pi * 8 * t)), ROAD, 1.0)
+    force = one.physics["control_force"][500:]  # periods of 125 ms
+    assert one.passed
+    assert np.abs(np.diff(force)).max() <= 20.0 * (1 + 1e-12)
+    assert np.mean(np.abs(np.diff(force)) > 19.999) > 0.9
+    assert force.max() == pytest.approx(20e3 / (4 * 8), abs=20.0)
+    np.testing.assert_allclose(force[125:], force[:-125], rtol=0, atol=1e-9)
+
+
+def test_a_rate_that_is_never_reached_changes_no_bit():
+    """A run with a rate limit that is not reached has the numbers of one without, and both are linear."""
+    [free] = run(read_vehicle("quarter_car"), Proportional(), ROAD, 0.5)
+    [one] = run(rated(), Proportional(), ROAD, 0.5)
+    np.testing.assert_array_equal(one.physics.values, free.physics.values)
+    assert np.isinf([one.agreement.until, free.agreement.until]).all()
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            ['limit = "force"', "actuator_force = 1e3", "actuator_bandwidth = 60"],
+            r"with a rate limit actuator_force limits commands",
+        ),
+        (["[limits.front]", "force_rate = 1e3"], r"\[limits.front\]"),
+        (["[actuators]", 'kind = "damper"', "c_min = 300", "c_max = 4e3"], r"force_rate"),
+    ],
+)
+def test_where_a_rate_limit_is_refused(lines, said):
+    with pytest.raises(InputError, match=said):
+        rated(*lines)
 
 
 def test_requests_of_another_shape_are_refused():

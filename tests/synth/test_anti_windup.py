@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.inspect.__main__ import main as inspect
 from sim.physics.simulate import MonitoredBatch, simulate
-from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisation
+from sim.response.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
 from sim.runs.report import controller_notes, controller_object, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
@@ -95,25 +95,53 @@ def test_nothing_changes_while_nothing_is_clipped(how):
 @pytest.mark.parametrize(
     "how", [*attacks([{}]), {"sample_period": 0.004}, {"sample_period": 0.004, "delay": 1}], ids=["ideal", "sampled", "late"]
 )
-def test_the_states_are_those_of_the_equation(how):
-    """The states of a run are x_c[i+1] = A x_c + B y + L (clip(u) - u), computed from what it measured, and stay bounded."""
+@pytest.mark.parametrize("rate", [None, 4000.0])
+def test_the_states_are_those_of_the_equation(how, rate):
+    """The states of a run are x_c[i+1] = A x_c + B y + L (clip(u) - u), computed from what it measured, and stay bounded; under a
+    rate limit, with the given forces for clip(u).
+    """
     most, time = 40.0, sample_times(limited(1.0), 3.0, 1e-3)
     vehicle = limited(most, **how)
+    vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=rate))
     free, kept = (designed(vehicle, name) for name in ("free", "kept"))
     made = simulate([free, kept], [RoadInput(vehicle, BUMP, time)] * 2)
     runs, every = [made.run(i) for i in (0, 1)], round(how.get("sample_period", 1e-3) / 1e-3)
     law = kept.law.sampled(1e-3 * every)
-    L, x, far = anti_windup_gain(law), np.zeros(2), 0.0
+    L, x, far, given, change = anti_windup_gain(law), np.zeros(2), 0.0, np.zeros(1), (rate or np.inf) * 1e-3 * every
     y = np.stack([runs[1][name] for name in kept.measured], axis=-1)[::every]
     states = np.stack([runs[1][f"controller_{i}"] for i in (1, 2)], axis=-1)[::every]
     for now, expected in zip(y, states, strict=True):
         far = max(far, float(np.abs(x - expected).max()))
         u = law.C @ x + law.D @ now
-        x = law.A @ x + law.B @ now + L @ (np.clip(u, -most, most) - u)
+        given = np.clip(np.clip(u, -most, most), given - change, given + change)
+        x = law.A @ x + law.B @ now + L @ (given - u)
     assert far <= 1e-9 * np.abs(states).max()  # a few roundings a step, of a contraction
     assert np.abs(runs[1]["control_force"]).max() == most
     assert np.abs(states).max() < 1
     assert np.abs(runs[0]["controller_1"]).max() > 100 * np.abs(states).max()
+
+
+@pytest.mark.parametrize("lag", [None, 60.0])
+def test_the_linear_regime_ends_with_the_first_command_at_the_rate_limit(lag):
+    """The end is that of a run, of a batch in blocks and of a scaled linear response. The verdict compares states up to the last
+    sample, also where commands under the rate limit have not arrived.
+    """
+    vehicle, end = limited(40.0, sample_period=0.004, delay=3), END_NAMES.index(RATE_LIMIT.name)
+    vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=200.0, actuator_bandwidth=lag))
+    (run,) = runs_of(vehicle, ["kept"], BUMP, 0.176)
+    road = RoadInput(vehicle, BUMP, run.physics.time)
+    batch = MonitoredBatch([run.controller] * 2, [road] * 2)
+    for _ in batch.blocks():
+        pass
+    commands = simulate([run.controller], [road]).requested_force[0, :, 0]
+    first = run.physics.time[(np.abs(np.diff(commands, prepend=0.0)) > 0.8 * (1 - 1e-9)).argmax()]
+    assert run.passed
+    assert 0 < first == run.agreement.ended[RATE_LIMIT.name]
+    assert (batch.ends.times[:, end] == first).all()
+    (factor,) = 1 / utilisation(vehicle, run.sampled)[[end]]
+    times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]))[:, end]
+    assert times[0] == first
+    assert np.isfinite(times).tolist() == [True, False, True]
 
 
 def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():

@@ -300,7 +300,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
         said.append(f"Under the final loads, the linear loop settles at {rests}.")
         said.append("Pitch is positive nose down, and roll right side down.")
         said += [f"{lacking[0].upper()}{lacking[1:]}." for lacking in [left_out(vehicle.parameters, metrics.static)] if lacking]
-    if vehicle.parts.strokes or vehicle.limits.actuator_force is not None:
+    if vehicle.parts.strokes or vehicle.limits.actuator_force is not None or vehicle.limits.force_rate is not None:
         said.append("Sampled and expected values are for a vehicle without bump stops and force limits.")
     if blur := vehicle.implementation.noise_text:
         said.append(f"Only MuJoCo's values include the {blur} of the measurements.")

@@ -7,11 +7,12 @@ that mode needs.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle
 from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
 from synth.plant.state_space import StateSpace
@@ -141,7 +142,7 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
     """Returns the rate of each run of MuJoCo that starts in the slowest mode of its loop [1/s]; NaN if it moves too little."""
     if not trials:
         return []
-    vehicles, timestep = [trial.vehicle for trial in trials], loops[0].loop.step or 0.0
+    vehicles, timestep = [_without_rate_limit(trial.vehicle) for trial in trials], loops[0].loop.step or 0.0
     starts = [loop.start(vehicle.limits.actuator_force) for loop, vehicle in zip(loops, vehicles, strict=True)]
     lengths = [round(_duration(loop) / loop.loop.period) * round(loop.loop.period / timestep) for loop in loops]
     undelayed = [trial.undelayed for trial in trials]
@@ -156,6 +157,12 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
                 state = np.concatenate([block.qpos[end - block.start, i], block.qvel[end - block.start, i]])
                 rates[i] = _rate(state, starts[i].motion, loops[i], end * timestep)
     return rates
+
+
+def _without_rate_limit(vehicle: Vehicle) -> Vehicle:
+    """Returns the vehicle without its rate limit, so that a mode is that of the linear loop; itself if it has no such limit."""
+    limits = vehicle.limits
+    return vehicle if limits.force_rate is None else replace(vehicle, limits=replace(limits, force_rate=None))
 
 
 def _duration(loop: SimulatedLoop) -> float:

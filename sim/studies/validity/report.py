@@ -304,5 +304,6 @@ def _at(vehicle: Vehicle, end: End) -> str:
     """Describes the vehicle's own limit that is the same either way; for a curve, the share off its line."""
     if end is CURVE:
         return f" (differs from its line by {100 * LEAVES:g} % of its largest force)"
-    values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
+    limits = [limit for limit in end.thresholds(vehicle) if not limit.sign]
+    values = {(limit.value, vehicle.kind.signal(limit.signal).unit + "/s" * limit.of_rate) for limit in limits}
     return "".join(f" (at ±{value:g} {unit})" for value, unit in values)

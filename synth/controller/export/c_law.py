@@ -1,9 +1,10 @@
 """The computation that is exported: a controller as its vehicle file runs it, and the same step by step in Python.
 
 A sample goes so: an input that is not finite is replaced by its last finite value; readings are quantised; a linear law's forces
-are summed over readings, then states, in the order of the columns; forces are limited, or become coefficients of adjustable
-dampers; the states are summed likewise; and what was computed `delay` samples before goes out. A force or state that overflows
-becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the same bits.
+are summed over readings, then states, in the order of the columns; forces are limited, then their changes, or they become
+coefficients of adjustable dampers; the states are summed likewise; and what was computed `delay` samples before goes out. A force
+or state that overflows becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the
+same bits.
 """
 
 import re
@@ -52,6 +53,7 @@ class ExportedLaw:
         law: the sampled linear law with k states; zero for a semi-active law.
         resolution: step of each reading, shape (q,); 0 for one that is not quantised.
         limit: largest force [N], or None.
+        change: largest change of a force from sample to sample [N], or None.
         delay: samples from a reading to its output.
         anti_windup: shape (k, m), or None.
         dampers: nominal, least and largest coefficient of each adjustable damper [N s/m]; empty for force actuators.
@@ -74,6 +76,7 @@ class ExportedLaw:
     law: LinearLaw
     resolution: Array
     limit: float | None
+    change: float | None
     delay: int
     anti_windup: Array | None
     dampers: tuple[tuple[float, float, float], ...]
@@ -141,7 +144,8 @@ def exported_law(
         sources: sources of ranges that were not given, by name.
 
     Raises:
-        InputError: the controller is a law in Python or an FMU, has states but no sample period, or sets dampers with curves.
+        InputError: the controller is a law in Python or an FMU, has states or a rate limit but no sample period, sets dampers
+            with curves, or has a rate limit in fixed point.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
@@ -164,6 +168,11 @@ def exported_law(
             f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, so its code needs a sample period; give [implementation] "
             "sample_period, or export a static gain"
         )
+    rate = vehicle.limits.force_rate
+    if rate is not None and how.sample_period is None:
+        raise InputError("force_rate limits changes from sample to sample; give [implementation] sample_period")
+    if rate is not None and numbers in BITS:
+        raise InputError(f"{numbers} code cannot limit the rate of forces (force_rate); give double or float")
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.parts.adjustable) if vehicle.dampers else model.inputs
@@ -180,6 +189,7 @@ def exported_law(
         "output_units": tuple(["N s/m" if vehicle.dampers else "N"] * m),
         "resolution": np.array([how.quantisation.get(one, 0.0) for one in driver.measured]),
         "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
+        "change": None if rate is None or how.sample_period is None else rate * how.sample_period,
         "delay": int(how.delay),
         "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.parts.adjustable),
         "ranges": limits,
@@ -253,7 +263,7 @@ class PythonStep:
         self._limits = None if law.limit is None else self._all([law.limit] * len(law.outputs))
         if fixed is not None and fixed.limit is not None:
             self._limits = self._all(fixed.limit.tolist())
-        self._x = [self._number(0)] * law.states
+        self._x, self._given = [self._number(0)] * law.states, [self._number(0)] * len(law.outputs)
         still = [one[0] for one in self._ends] or [self._number(0)] * len(law.outputs)
         self._line = [still for _ in range(law.delay)]
         self._valid = [self._number(0)] * len(law.inputs)
@@ -296,6 +306,10 @@ class PythonStep:
             out = [n + c for c, (n, _, _) in zip(beyond, self._ends, strict=True)]
         elif self._limits is not None:
             given = out = [self._clipped(force, -most, most) for force, most in zip(forces, self._limits, strict=True)]
+        if law.change is not None:
+            step = self._number(law.change)
+            self._given = [self._clipped(force, last - step, last + step) for force, last in zip(given, self._given, strict=True)]
+            given = out = self._given
         missing = [] if law.anti_windup is None else [g - f for g, f in zip(given, forces, strict=True)]
         rows = zip(of["A"], of["B"], of["L"], strict=True)
         sums = [self._sum((a, self._x), (b, y), (after, missing)) for a, b, after in rows]

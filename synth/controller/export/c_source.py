@@ -171,6 +171,7 @@ class CSource:
         ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, self.in_units, strict=True))
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
+        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, undelayed */\n" * (law.change is not None)
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
         if self.fixed is None:
             state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
@@ -221,7 +222,7 @@ class CSource:
         law, floating = self.law, self.fixed is None
         parts = {
             VALID: floating,
-            CLIPPED: floating and (law.limit is not None or bool(law.dampers)),
+            CLIPPED: floating and (law.limit is not None or law.change is not None or bool(law.dampers)),
             QUANTISED: floating and bool(np.any(law.resolution)),
             SUM: not law.semi_active,
             ROUNDED: not floating,
@@ -244,6 +245,8 @@ class CSource:
         law, p, lines = self.law, self.p, list[str]()
         if law.states:
             lines.append(_loop(law.states, f"state->x[i] = {self.zero};"))
+        if law.change is not None:
+            lines.append(_loop(len(law.outputs), f"state->given[i] = {self.zero};"))
         if law.delay:
             still = f"{p}_dampers[i][0]" if law.dampers else self.zero
             inner = indent(_loop(len(law.outputs), f"state->line[k][i] = {still};"), "    ")
@@ -317,6 +320,10 @@ class CSource:
                 inner.append(f"computed[i] = {p}_clipped(force, {self.number(-law.limit)}, {self.number(law.limit)});")
             else:
                 inner.append("computed[i] = force;")
+            if law.change is not None:
+                change = self.number(law.change)
+                ends = f"state->given[i] - {change}, state->given[i] + {change}"
+                inner += [f"computed[i] = {p}_clipped(computed[i], {ends});", "state->given[i] = computed[i];"]
             missing = f"{given} - force"
         inner += [f"missing[i] = {missing};"] * (law.anti_windup is not None)
         lines = [_loop(m, *inner)]

@@ -103,7 +103,7 @@ class CompiledStep:
     def __init__(self, code: ExportedCode) -> None:
         """Initialises the state of the code."""
         law, number = code.law, NUMBERS[code.law.numbers]
-        kept = (law.states + law.delay * len(law.outputs) + len(law.inputs)) * np.dtype(number).itemsize
+        kept = (law.states + (law.delay + 1) * len(law.outputs) + len(law.inputs)) * np.dtype(number).itemsize
         self.state = np.zeros(kept + INTEGER, dtype=np.uint8)
         self.seen, self.given = np.zeros(len(law.inputs), number), np.zeros(len(law.outputs), number)
         self.x: Array = self.state[: law.states * np.dtype(number).itemsize].view(number)

@@ -94,6 +94,7 @@ def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
     does = [
         f"It rounds its measurements: {', '.join(steps)}." if steps else "",
         f"It limits every force to ±{law.limit:g} N." if law.limit is not None else "",
+        f"It changes every force by at most {law.change:g} N from sample to sample." if law.change is not None else "",
         f"Its outputs are delayed by {law.delay} sample(s)." if law.delay else "",
         "When forces are limited, its states follow the limited forces (anti-windup)." if law.anti_windup is not None else "",
         f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
@@ -259,7 +260,7 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
         other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
     except InputError:  # it cannot be exported so
         return False
-    same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
+    same = ("inputs", "outputs", "limit", "change", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
     tables = [(getattr(law.law, name), getattr(other.law, name)) for name in MATRICES]
     tables += [(law.resolution, other.resolution), (law.anti_windup, other.anti_windup)]
     return all(getattr(law, name) == getattr(other, name) for name in same) and all(_near(*both) for both in tables)
