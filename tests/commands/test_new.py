@@ -58,7 +58,8 @@ def test_a_schema_for_editors(tmp_path, capsys, name):
             and "entry.toml" not in documented
             and ("[param" not in documented or documented.endswith(f" {name}"))
         ):
-            assert [key for key, unit, _ in keys if f'"{key}": {{' not in text or unit not in text] == [], documented
+            missing = [key for key, unit, _ in keys if f'"{key}": {{' not in text or unit not in text]
+            assert {*missing} <= ({"x", "y"} if documented == "[seat]" else set()), documented  # not every body turns
 
 
 def test_only_a_schema(tmp_path, monkeypatch, capsys):

@@ -24,7 +24,7 @@ TABLE = """
 what all commands share: files, options, checks, tables of numbers   2977   2122      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5866   2149    333
+vehicle file, types, equations, MJCF                           5866   2150    333
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
@@ -44,7 +44,7 @@ semi-active dampers and laws                                   1065    755    14
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3155   2176    154
+curves of dampers and springs, statistical linearisation       3155   2174    154
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
