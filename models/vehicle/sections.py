@@ -225,7 +225,12 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
             yield _known(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
-    k, c = (sum(value for name, value in p.items() if name.startswith(CORNER[of][0])) for of in ("spring", "damper"))
+    firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()  # of those with the same numbers
+    lines = [_of_elements(vehicle, deflection) for deflection in firsts]
+    k, c = (
+        sum(value for name, value in p.items() if name.startswith(CORNER[of][0])) + sum(line[i] for line in lines)
+        for i, of in enumerate(("spring", "damper"))
+    )
     if k and (mass := p.get("sprung_mass")):
         yield _known(frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), ""))
     yield _known(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
@@ -247,6 +252,12 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
             yield _known(**{f"error_{units.get(signal)}": (f"{name} of {signal}", size, units.get(signal, ""))})
 
 
+def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
+    """Returns stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension, by their lines at rest."""
+    lines = [one.added for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
+    return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
+
+
 def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, Known]:
     """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
     kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
@@ -254,6 +265,8 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
     names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
     names |= {"spring": part.stiffness, "damper": part.damping}
     k, c, wheel, tyre, tyre_damper = (p.get(name, 0.0) for name in names.values())
+    more = _of_elements(vehicle, part.deflection)
+    k, c = k + more[0], c + more[1]
     critical, hop = 2 * math.sqrt(k * load / GRAVITY), 2 * math.sqrt(tyre * wheel)
     return _known(
         **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},

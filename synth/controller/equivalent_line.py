@@ -64,8 +64,7 @@ def equivalent_line(
         deviations: function of a linear vehicle and names of signals that returns their standard deviations over the road, shape
             (k,), or None for an unstable loop.
     """
-    bent = [one for one in vehicle.parts if one.part.bent and not (one.part.contact or one.part.inputs)]
-    if any(one.part.curve is None for one in bent):
+    if without_curve(vehicle):
         return None
     placed = [one for one in vehicle.parts.with_curve if one.curve.bent]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
@@ -100,6 +99,12 @@ def equivalent_line(
         step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
         slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None
+
+
+def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
+    """Returns the names of elements whose force differs from a line and is no curve over one signal."""
+    bent = (one for one in vehicle.parts if one.part.bent and not (one.part.contact or one.part.inputs))
+    return tuple(dict.fromkeys(one.name for one in bent if one.part.curve is None))
 
 
 def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:

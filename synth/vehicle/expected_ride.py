@@ -18,6 +18,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.threads import one_thread
+from models.document.text import names_text
 from models.laws.filter import WEIGHTINGS, Filter
 from models.roads.iso8608 import Iso8608
 from models.roads.road import track_width
@@ -59,6 +60,10 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
     """Returns the reason for which a stable loop has no expected ride; empty if the reason is another one."""
     curved = vehicle.parts.nonlinear and controller.certificate.stable and vehicle.ride_points.worst_of
+    from synth.controller.equivalent_line import without_curve
+
+    if curved and (others := without_curve(vehicle)):
+        return f"statistical linearisation is for forces over one signal without a state, unlike {names_text(others)} of [parts]"
     return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
 
 

@@ -37,7 +37,7 @@ from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import driver_of
-from tests.support.commands import attacks
+from tests.support.commands import attacks, main_of, prose
 from tests.support.mechanism import CORNERS, Mechanism, acting, axle, integrated, rk4, static_loads, straight
 
 EXACT, FAULT = 1e-12, 1.02
@@ -1023,3 +1023,23 @@ def test_an_element_that_is_none(section, said):
     )
     with pytest.raises(InputError, match=re.escape(said)):
         parse_vehicle(text)
+
+
+@pytest.mark.parametrize("command", ["sim.bump", pytest.param("sim.sweep", marks=pytest.mark.slow), "synth"])
+def test_a_car_that_stands_on_gas(command, tmp_path, capsys):
+    """With nearly no steel spring, no unit is doubted; responses agree over a road that is low enough for the gas's own curve."""
+    car = re.sub(r"suspension_stiffness = \S+", "suspension_stiffness = 100.0", read_vehicle("quarter_car").text)
+    (tmp_path / "car.toml").write_text(f'{car}\n[parts.air]\nkind = "gas_spring"\n{ROWS["gas spring"].file(1.0, 1.0)}\n')
+    logs = ["--no-logs", "--duration", "0.5"] if command == "sim.bump" else []
+    assert main_of(command)(["--vehicle", str(tmp_path / "car.toml"), "--controller", "passive", *logs]) == 0
+    out, doubts = capsys.readouterr()
+    assert "check that" not in doubts
+    assert ("Over a lower road" in out) == (command == "sim.sweep")
+
+
+def test_why_an_expected_ride_is_missing(tmp_path, capsys):
+    """An element with a state has no expected ride, and `synth` names the element."""
+    text = f'{read_vehicle("quarter_car").text}\n[parts.own]\nkind = "bouc_wen"\nalpha = 9000\nbeta = 900\ngamma = 300\n'
+    (tmp_path / "car.toml").write_text(text)
+    assert main_of("synth")(["--vehicle", str(tmp_path / "car.toml"), "--controller", "II_printed"]) == 0
+    assert "forces over one signal without a state, unlike own of [parts]" in prose(capsys.readouterr().out)

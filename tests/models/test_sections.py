@@ -168,16 +168,16 @@ def test_numbers(section, name, key):
         ways.append((r"^\w+ ", lambda wrong: section(**{name: wrong})))
     numbers = [number.low - max(1, -number.low), math.nan, 10**400, -math.inf]
     numbers += [number.high + max(1, number.high)] * math.isfinite(number.high)
-    cases = [(wrong, rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{unit}") for wrong in numbers]
+    cases = [(wrong, rf"{name}\S* = \S+ is not allowed; give an? \w+ from \S+ to \S+{re.escape(unit)}") for wrong in numbers]
     cases.append(("a\nb", rf"{name}\S* = 'a\\nb' is not (allowed; give an? |a number; give a )\w+"))
     if "boolean" not in str(key.json):
         cases.append((True, rf"{name}\S* = True is not (allowed; give an? |a number; give a )\w+"))
     if isinstance(number, SI) and number.unit:
-        expected = f"a {f'unit of {number.unit}' if unit else 'pure number'} is expected"
+        expected = f"a {f'unit of {re.escape(number.unit)}' if unit else 'pure number'} is expected"
         cases.append(("3 cd", rf"{name}\S* = '3 cd' has the unknown unit 'cd', but {expected}"))
         cases.append(("0,5 A", rf"{name}\S* = '0,5 A' has a decimal comma; write a decimal point"))
     if unit:
-        cases.append(("3", rf"{name}\S* = '3' has no unit; add the unit, as in \"1.5{unit}\", or omit the quotes"))
+        cases.append(("3", rf"{name}\S* = '3' has no unit; add the unit, as in \"1.5{re.escape(unit)}\", or omit the quotes"))
         value = max(number.low, min(1.5, number.high))
         assert key.read(wrapped(key, f"{value!r}{unit}"), CONTEXT) == key.read(wrapped(key, value), CONTEXT)
         if section in IN_PYTHON and math.isfinite(usual := getattr(section(), name) or math.inf):

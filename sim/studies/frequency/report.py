@@ -133,6 +133,10 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
         off = at_most(max(float(one.error(one.sampled).max()) for one in some))
         names = names_text(one.controller.name for one in some)
         text = f"For {names}, every frequency response in MuJoCo is within {off} of the exact response of the sampled loop."
+        small = [line for one in some if (sweep := of.get(one.controller.name)) and (line := sweep.small) is not None]
+        if small:
+            near = at_most(max(float(line.error(line.sampled).max()) for line in small))
+            text += f" Over a lower road, where characteristics and angles matter less, it is within {near}."
         yield Statement(f"{text} {largest}".rstrip(), "holds")
     for name, texts in failed.items():
         for i, text in enumerate(texts):

@@ -42,7 +42,7 @@ class Sweep:
     road: WorstRoad | None  # the one that reaches it; None where there is none such
     loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
-    small: Lines | None = None  # over roads of `SMALLER` of the height, if lines are off and the vehicle turns or has curves
+    small: Lines | None = None  # over a tenth or a hundredth of the height, if lines are off and the vehicle turns or has curves
 
     @property
     def controller(self) -> Controller:
@@ -91,8 +91,10 @@ def sweep(
     loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
     off = [line.controller for line in lines if _off(line)[0] > _off(line)[1] and not line.ended]
     small: dict[str, Lines] = {}
-    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and (near.parts.nonlinear or has_geometry(near)):
-        small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
+    for share in (SMALLER, SMALLER**2) if near.parts.nonlinear or has_geometry(near) else ():
+        if off and amplitude * share >= LEAST_AMPLITUDE:
+            small |= {line.controller.name: line for line in identify(near, off, amplitude * share, timestep, speed)}
+            off = [one for one in off if not _off(small[one.name])[0] <= _off(small[one.name])[1]]
     ideal = ideal_measurements(near)
     norms = [
         None if one.preview is not None or _reads_road(ideal, one) else norm_if_implemented(ideal, one.quiet, timestep)
