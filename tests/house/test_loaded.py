@@ -21,12 +21,12 @@ HEAVY = {
 # `sim.runs.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel with `rigid_body`.
 LOADED = {
     "synth --json": (108, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
-    "sim.bump --controller I --duration 0.5 --logs DIR": (141, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
+    "sim.bump --controller I --duration 0.5 --logs DIR": (142, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
     "sim.bump --controller I --no-logs --json": (130, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (131, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (132, {"mujoco"}),
     "sim.drive --controller I --duration 1 --no-logs --json": (160, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
-        132,
+        133,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),
 }

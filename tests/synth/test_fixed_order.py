@@ -72,7 +72,7 @@ def of_numbers(x: np.ndarray) -> LinearLaw:
 @functools.cache
 def found_for(seed: int, order: int) -> FixedOrderDesign:
     """The law of an order for `posed`."""
-    return fixed_order_design(posed(seed), LawStructure(order))
+    return fixed_order_design(posed(seed)[0].measured(*posed(seed)[1:]), LawStructure(order))
 
 
 @pytest.mark.attack

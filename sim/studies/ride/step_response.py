@@ -123,7 +123,7 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
         peak, peak_time = (up, at_up) if up >= down else (-down, at_down)
         side = math.copysign(1.0, peak)
         behind = pieces.since(peak_time)
-        overshoot = max(behind.times(-side).largest()[0], 0.0) / abs(peak) if len(behind.start) else 0.0
+        overshoot = max(behind.times(-side).largest()[0], 0.0) / abs(peak) if peak and len(behind.start) else 0.0
     last = error.last_above(half_band)
     settled = NEVER_OUTSIDE if last is None else NOT_SETTLED if last == math.inf else SETTLED
     iae, itae = error.integral_of_size()
