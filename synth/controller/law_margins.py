@@ -114,8 +114,9 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
     gain, gain_lower, disk, direct = math.inf, 0.0, None, 0.0
     if law.acts and controller.certificate.stable:
         limits = replace(vehicle.limits, actuator_bandwidth=controller.hardware.bandwidth)
-        loop, direct = loop_of(replace(vehicle, limits=limits), controller), loop_of(vehicle, controller).direct_radius
-        loop = loop.cut(loop.forces)
+        built = loop_of(vehicle, controller)
+        ideal = built if limits == vehicle.limits else loop_of(replace(vehicle, limits=limits), controller)
+        direct, loop = built.direct_radius, ideal.cut(ideal.forces)
         if _growth(loop, np.ones(1))[0] < 0:  # rounding may decide on a marginal loop
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)

@@ -53,7 +53,7 @@ curves of dampers and springs, statistical linearisation       3160   2174    15
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    194      0
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          1880   1541      0
+parts of a suspension                                          1879   1541      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py
@@ -108,7 +108,7 @@ plant algebra, filters, any plant                              2788   1974    31
     synth/plant/* models/laws/filter.py synth/design/feedback.py synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3246    649    152
+synth command, controller record, designer                     3247    649    152
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,designer,expected_ride}.py tests/*/test_{law_warnings,synth_command}.py

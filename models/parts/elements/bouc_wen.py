@@ -48,9 +48,6 @@ class BoucWen(Hysteretic, Section):
         alpha, c0 = self._now
         return self.k0 * d + c0 * v + alpha * z[..., 0]
 
-    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        return self.evolution(v, z[..., 0])[..., None]
-
     def stored(self, d: Array, z: Any = None) -> Array:
         return self.k0 * np.square(d) / 2 + self._now[0] * self.returned(z[..., 0])
 

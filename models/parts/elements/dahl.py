@@ -42,9 +42,6 @@ class Dahl(Hysteretic, Section):
         force, damping = self._now
         return damping * v + force * z[..., 0]
 
-    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        return self.evolution(v, z[..., 0])[..., None]
-
     def stored(self, d: Array, z: Any = None) -> Array:
         return self._now[0] * self.returned(z[..., 0])
 

@@ -15,6 +15,7 @@ decays. So linear analysis has the mode -`DECAY` there, which leaves each respon
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +63,10 @@ class Hysteretic(Part):
         A, b, g, n = self.law
         size, speed = (np.where(np.real(x) < 0, -x, x) for x in (z, w))  # also of complex steps
         return A * w - size ** (n - 1) * (b * speed * z + g * w * size)
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        """See `Part.rate`; of a part without further states, whose velocity is that across the element."""
+        return self.evolution(v, z[..., 0])[..., None]
 
     def returned(self, z: Array) -> Array:
         """Returns S(z), shape (...)."""
