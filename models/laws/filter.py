@@ -120,7 +120,7 @@ class Filter:
         if not self.residue:
             return self._states(self.sections)
         rest = self.remainder
-        A = linalg.block_diag(rest.A, np.zeros((1, 1)))
+        A = np.pad(rest.A, (0, 1))
         return LinearLaw(A, np.vstack([rest.B, [[1.0]]]), np.hstack([rest.C, [[self.residue]]]), rest.D)
 
     @property

@@ -154,7 +154,7 @@ class Part(ABC):
             return Line(*slopes, inertance=inertance)
         rows = STEP * 1j * np.eye(n + 3)  # over (z, d, v, u)
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
-        rates = [np.imag(self.rate(*row[n : n + 2], row[:n], row[n + 2])) / STEP for row in rows]
+        rates = [np.imag(self.rate(row[n], row[n + 1], row[:n], row[n + 2])) / STEP for row in rows]
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:

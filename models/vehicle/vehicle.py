@@ -250,10 +250,10 @@ class Vehicle(Shown):
         from models.kinds.at_wheels import force_effects
         from models.parts.lines import with_own_states
 
-        rows, effects = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
+        rows, (push, shown) = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
         speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
-        model = with_own_states(model.with_lines(rows, *effects, stiffness, damping), more, rows, speeds, *effects)
-        return model.with_inertance(np.pad(speeds, own[::-1]), *(np.pad(one, own) for one in effects), inertance)
+        model = with_own_states(model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown)
+        return model.with_inertance(np.pad(speeds, own[::-1]), np.pad(push, own), np.pad(shown, own), inertance)
 
     def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
         """Returns the effect of suspension forces that pull together on the states and outputs of its linear model.

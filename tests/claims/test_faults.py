@@ -262,6 +262,7 @@ def test_another_rate_limit_is_found(kind, law):
     """
     clean = clean_run(kind, "rate limit", law, built=True)
     limits = clean.vehicle.limits
+    assert limits.force_rate is not None
     other = dataclasses.replace(clean.vehicle, limits=dataclasses.replace(limits, force_rate=(1 + SHARE) * limits.force_rate))
     commands, ended = faulty(clean, other).agreement.commands, clean.agreement.ended["rate limit"]
     assert ended == clean.agreement.until < clean.physics.time[-1]

@@ -249,7 +249,7 @@ def test_linear_systems_are_of_four_classes():
     """Matrices A and B, or B_w, of a linear system are fields of four classes, and of no other but those that are named here."""
     fields = re.compile(r"^    (A|Bw?): ", re.M)
     texts = [text for path in FILES for text in re.split(r"^class ", path.read_text(encoding="utf-8"), flags=re.M)[1:]]
-    found = {text[: re.search(r"\W", text).start()] for text in texts if len({*fields.findall(text)}) > 1}
+    found = {re.split(r"\W", text, maxsplit=1)[0] for text in texts if len({*fields.findall(text)}) > 1}
     assert found == SYSTEMS | OTHERS
 
 

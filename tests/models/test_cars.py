@@ -333,7 +333,7 @@ def test_a_full_car_of_equal_axles_is_two_half_cars_in_the_roll_plane():
     for name in half.linear_model.outputs:
         assert np.abs(whole[at_front(name)] - part[name]).max() <= 1e-9 * part.scale(name), name
     heights = [RoadInput(car, choose_road("iso8608").build(car, 15.0, 0, 1.0), time).heights[:, :2] for car in (full, half)]
-    assert np.array_equal(*heights), "both tracks are those of a full car's front axle"
+    assert np.array_equal(heights[0], heights[1]), "both tracks are those of a full car's front axle"
 
 
 def mirror(name: str) -> str:
@@ -380,6 +380,7 @@ def test_roll_that_symmetry_forbids_is_rounding():
     assert 0 < run.sampled.peak("roll_rate") < 1e-6 * run.sampled.peak("heave_velocity")
     fastest = max(run.sampled.peak(one.name) for one in run.sampled.signals if one.unit == "m/s")
     assert run.sampled.scale("roll_rate") == 1e-3 * fastest
+    assert run.qpos is not None
     assert scene_of(run.prediction.input, run.physics, run.qpos).flat, "it is seen from behind"
     assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
     gains, units = np.array([[1e-12, 2.0], [0.5, 2.0]]), ("rad/s", "m/s")

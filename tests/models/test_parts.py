@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -437,7 +437,7 @@ class Law:
         """Rates of the states, shape (..., n)."""
         (r, D), found = self.travel(d), np.zeros(np.shape(z))
         for row, i in with_states(self.names):
-            found[..., i] = row.rate(D, r * v, z[..., i])
+            found[..., i] = cast(Callable, row.rate)(D, r * v, z[..., i])
         return found
 
     def inertance(self, d):
@@ -808,6 +808,8 @@ def test_a_maxwell_element_has_its_complex_stiffness(ratio):
     """At each frequency the pull per deflection is r^2 k j w c / (k + j w c), with the stiffness k and damping c of the file."""
     one = next(one for one in car("half_car", ("Maxwell element",), ratio).parts if one.states)
     r, line, s = ratios_at(ratio, "_front")[1], one.part.line, 1j * OMEGA
+    assert line.rates is not None
+    assert line.of_states is not None
     rates, of_travel = line.rates[0, 0], line.rates[0, 1] + s * line.rates[0, 2]
     r_at_rest = np.interp(0.0, *ratios_at(ratio, "_front")) if len(r) > 1 else r[0]
     found = line.stiffness + s * line.damping + line.of_states[0] * of_travel / (s - rates)

@@ -21,7 +21,8 @@ def response(system: StateSpace) -> np.ndarray:
 def random_system(seed: int, p: int, k: int) -> StateSpace:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
-    return StateSpace(*(rng.standard_normal(shape) for shape in ((n, n), (n, k), (p, n), (p, k))))
+    A, B, C, D = (rng.standard_normal(shape) for shape in ((n, n), (n, k), (p, n), (p, k)))
+    return StateSpace(A, B, C, D)
 
 
 @pytest.mark.parametrize(

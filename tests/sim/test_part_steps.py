@@ -23,7 +23,8 @@ class Toy(SuspensionForces):
     """A hysteretic and a cubic force with one state on each suspension, a share of the actuators' forces, and an inerter."""
 
     def __init__(self, inertance: np.ndarray | None, count: int, suspensions: int) -> None:
-        self.b, self.inertial, self.states = inertance, inertance is not None, suspensions
+        self.b: Any = inertance
+        self.inertial, self.states = inertance is not None, suspensions
         self.size = 1.0 + np.arange(count * suspensions).reshape(count, suspensions) / 4
 
     def __call__(self, d, v, inputs, z: Any = None):

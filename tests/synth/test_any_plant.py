@@ -192,9 +192,8 @@ def test_what_is_missing_is_said(n, m, q, dt):
 def test_a_plant_s_own_measurements():
     """Matrices of measurements that the plant contains count as if they were given to each function."""
     rng, (Cy, Dyw, K) = np.random.default_rng(2), (np.array([[0.0, 1.0]]), np.array([[0.0, 0.1]]), np.array([[-2.0]]))
-    plant = GeneralizedPlant(
-        [[0, 1], [-4, -0.1]], [[0], [1]], rng.standard_normal((2, 2)), [[1, 0], [0, 0]], [[0], [1]], 0 * np.eye(2)
-    )
+    A, B, C, D = map(np.array, ([[0, 1], [-4, -0.1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [1]]))
+    plant = GeneralizedPlant(A, B, rng.standard_normal((2, 2)), C, D, 0 * np.eye(2))
     own = replace(plant, Cy=Cy, Dyw=Dyw)
     for call in (
         lambda one, *y: synth.full_order_design(one, *y).law.A,

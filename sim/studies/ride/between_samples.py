@@ -21,6 +21,7 @@ from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.response.response import Response
 from sim.runs.run import Run
+from synth.controller.controller import Controller
 
 DEGREE = 8  # of the polynomial of a step
 PER_GAP = 8  # pieces of a road between two of its kinks, or more
@@ -183,8 +184,9 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     parts = max(min(DEGREE, MOST_POINTS // (steps * cut)), 2)
     every = parts * cut
     road = RoadInput(run.vehicle, run.road, np.arange(steps * every + 1) * (h / every))
-    if prediction.loop is not None:
-        response = continuous_response(prediction.controller, road)
+    controller = prediction.controller
+    if prediction.loop is not None and isinstance(controller, Controller):
+        response = continuous_response(controller, road)
     elif isinstance(run.controller, Programmed):
         response = forced_continuous_response(np.repeat(prediction.requested_force, every, axis=0)[: steps * every + 1], road)
     else:
