@@ -11,8 +11,7 @@ import numpy as np
 from models.document.field import Field
 from synth.controller.controller import Controller
 from synth.controller.report import BOUND
-from synth.design.two_step import independently_measured, well_posed
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
+from synth.design.two_step import independently_measured, l_matrix, nullspace, r_matrix, well_posed
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError

@@ -1,6 +1,4 @@
-"""Static gains: the two steps, or descent on the norm if they cannot be completed. The result has the method and reason.
-
-For any plant (`near_lower_bound`) descent also continues from the two steps if they end above a proved lower bound.
+"""Static gains by descent on the norm: where the two steps cannot be completed or do not suffice, and from where they end.
 
 A central path may break off, or have no end at a finite gain, and problems may be too large for it. Problem (25) may have no
 solution from any X tried. A gain may exist nevertheless: the strategy of `static.py` needs no path. Proofs that no gain exists
@@ -10,7 +8,6 @@ noise leave a solution far above the lower bound, the descent continues from it.
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -23,179 +20,135 @@ from models.common.printed import brief, digits, percent, rough
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
+from synth.design.problem import DESCENT, LARGEST_GAIN, TWO_STEPS, DesignProblem, DesignResult, Progress
 from synth.design.two_step import (
-    LARGEST_GAIN,
     NO_GAIN,
-    Design,
+    check_stabilisable,
     independently_measured,
     no_gain,
-    two_step_design,
     with_redundant_rows,
     zero_l_design,
 )
-from synth.lmi.central_path import CentralPoint
 from synth.plant.generalized import Plant
-from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
+from synth.plant.numerics import DesignError, NoSolutionError
 
 if TYPE_CHECKING:
     from synth.design.descent.landscape import Work
 
+BOTH = f"{TWO_STEPS} and {DESCENT}"
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
+SEEN = 1e-6  # relative: what a table of seven digits shows
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
-def check_stabilisable(plant: Plant, states: Sequence[str] = ()) -> None:
-    """Raises an InfeasibleError if a single mode, or the poles' sum or product, keeps every static gain from stabilising."""
-    reasons = list[str]()
-    with contextlib.suppress(InputError):  # units in which an entry is too large: nothing is known against a gain
-        reasons = stabilisability_failures(plant, states) or static_feedback_obstructions(plant)
-    if reasons:
-        raise InfeasibleError("; ".join(reasons))
+def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
+    """Returns why the result of the two steps is not left at that, in words; empty where it is.
 
-
-def _lost(plant: Plant, steps: Design, largest_gain: float) -> str:
-    """Why a design of the two steps is not left at that, in words; empty where it is.
-
-    The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
-    to that X all the same. So with filters, and with them alone, the two steps are mended rather than believed.
+    The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
+    moves; L (14) ties a gain to that X all the same. So with filters the two steps are mended rather than believed. And a gain
+    that is worse than none is none.
     """
+    plant, norm, gap = problem.plant, steps.certificate.norm.value, steps.certificate.gap
+    if np.any(plant.Dyw):
+        return KNOW_NO_NOISE
     entry = float(np.abs(steps.gain).max(initial=0.0))
-    if largest_gain < LARGEST_GAIN and entry > largest_gain:
-        return f"the two-step method needs a gain of {rough(entry)}, but {largest_gain:g} is the largest allowed"
-    gap = steps.certificate.gap
-    if not plant.weights or (gap is not None and gap <= FAR):
-        return ""
+    if problem.largest_gain < LARGEST_GAIN and entry > problem.largest_gain:
+        return f"the two-step method needs a gain of {rough(entry)}, but {problem.largest_gain:g} is the largest allowed"
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"the two-step method ends at {digits(steps.certificate.norm.value)}{far}: its X needs filter states, which y lacks"
+    if plant.weights and (gap is None or gap > FAR):
+        return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
+    if is_stable(plant.A, plant.dt) and (without := hinf_norm(plant).value) < norm * (1 - SEEN):
+        return f"the two-step method ends at {digits(norm)}, and without control the norm is {digits(without)}"
+    return ""
 
 
-@numerics()
-def two_steps_or_descent(
-    plant: Plant,
-    path: Callable[[], Sequence[CentralPoint]] = tuple,
-    lower_bound: LowerBound | None = None,
-    states: Sequence[str] = (),
-    largest_gain: float = LARGEST_GAIN,
-    work: "Work | None" = None,
-) -> Design:
-    """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
-
-    Args:
-        plant: plant with measurements. The two steps ignore their noise, and are one of the starts of a descent.
-        path: returns the central path of (22) if it is known already, or raises.
-        lower_bound, states: arguments of `two_step_design`.
-        largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
-        work: counts the norms of the descent, as for `descended`.
+def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a static gain by descent on the norm where the two steps find none, or none that suffices.
 
     Raises:
-        InputError: the plant has no input, or a matrix does not fit it.
-        InfeasibleError: no static gain stabilises the plant; the message names the mode.
-        DesignError: neither method finds a gain whose certificate holds; the message gives the reason. A certificate may lack a
-            bound if rounding leaves no proof, as for the large gains of 60 states.
+        DesignError: it finds no gain whose certificate holds; the message gives the reason. A certificate may lack a bound if
+            rounding leaves no proof, as for the large gains of 60 states.
     """
+    plant, steps, failure = problem.plant, problem.start, problem.failure
+    check_stabilisable(plant, problem.states)
+    if steps is None:
+        reason = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
+    elif not (reason := insufficient(problem, steps)):
+        return steps
     _, _, kept = independently_measured(plant)
-    check_stabilisable(plant, states)
-    two_steps = failure = None
-    try:
-        two_steps = two_step_design(plant, None, path(), lower_bound, states)
-        reason = KNOW_NO_NOISE if np.any(plant.Dyw) else _lost(plant, two_steps, largest_gain)
-        if not reason:
-            return two_steps
-    except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
-        reason, failure = (NOT_FROM_THESE if isinstance(error, NoSolutionError) else str(error)), error
-    start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     few = plant.rows(kept)
+    start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import descended
 
     try:
-        by_descent = descended(few, start, largest_gain, lower_bound, work=work)
-        certificate, gain = by_descent.certificate, by_descent.gain
-        how = f"by descent on the norm from {by_descent.origin}, with gains up to {largest_gain:g}"
+        search = descended(few, start, problem.largest_gain, problem.lower_bound, work=problem.work)
+        certificate, gain = search.certificate, search.gain
+        how = f"by descent on the norm from {search.origin}, with gains up to {problem.largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
-        how += f"; {by_descent.stopped}" * bool(by_descent.stopped)
+        how += f"; {search.stopped}" * bool(search.stopped)
     except InputError as error:
-        left = _known_gain(few, start, lower_bound)
+        left = _known_gain(few, start, problem.lower_bound)
         if left is None:
             message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
             raise DesignError(f"{message}; reason for the descent: {failure or reason}") from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, but two methods agree on the norm" if certificate.bound is None else ""
     instead = f"designed {how}{unproved}; reason: {reason}"
-    return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(plant.Cy), 0.0)
+    result = DesignResult(static_law(gain), certificate, DESCENT, instead=instead)
+    return with_redundant_rows(result, kept, len(plant.Cy), 0.0)
 
 
-@numerics()
-def near_lower_bound(
-    plant: Plant,
-    lower_bound: LowerBound | None = None,
-    states: Sequence[str] = (),
-    largest_gain: float = LARGEST_GAIN,
-) -> tuple[Design, str]:
-    """Returns the result of `two_steps_or_descent`, or of a descent from there, and a remark on that descent.
+def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Lowers the norm of two steps that end more than 0.1 % above the lower bound, as `refine` does.
 
-    Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
-    0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept,
-    unless it takes poles beyond any actuator.
-
-    Args:
-        plant, states, largest_gain: arguments of `two_steps_or_descent`.
-        lower_bound: lower bound for any controller from these measurements; None: computed for plants of at most 20 states.
-
-    Returns:
-        The design, and the words: empty where nothing goes on from the two steps.
-
-    Raises:
-        InputError, InfeasibleError, DesignError: errors of `two_steps_or_descent`.
+    Each doubling of the gain is worth 0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere,
+    too. The lower norm is kept, unless it takes poles beyond any actuator.
     """
-    check_stabilisable(plant, states)
-    below = lower_bound
-    if below is None and len(plant.A) <= BOUNDED:
-        from synth.lmi.full_order_bound import find_lower_bound
+    result, work = problem.start, problem.work
+    assert result is not None, "a design comes first"
+    gap = result.certificate.gap
+    if result.instead or (gap is not None and gap <= NEAR) or not result.certificate.norm.value:
+        return result
+    if work is None:
+        from synth.design.static import bounded_work
 
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            below = find_lower_bound(plant)
-    from synth.design.static import bounded_work
-
-    work = bounded_work(plant)
-    design = two_steps_or_descent(plant, tuple, below, states, largest_gain, work)
-    gap = design.certificate.gap
-    if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
-        return design, ""
+        work = bounded_work(problem.plant)
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"the two-step method reaches norm {digits(design.certificate.norm.value)}{far}; descent from its gain"
-    lower, growth = _refined(plant, design, below, largest_gain, work)
+    came = f"the two-step method reaches norm {digits(result.certificate.norm.value)}{far}; descent from its gain"
+    lower, growth = _refined(problem.plant, result, problem.lower_bound, problem.largest_gain, work)
     stopped = f"; {work.text}" if work.over else ""
     if lower is None:
-        return design, f"{came} finds no lower norm{stopped}"
-    if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
+        return replace(result, why=f"{came} finds no lower norm{stopped}", method=BOTH)
+    if lower.certificate.beyond_actuators and not result.certificate.beyond_actuators:
         at = f"{digits(lower.certificate.norm.value)} with poles too fast for actuators"
-        return design, f"{came} ends at {at}, so the gain of the two-step method is kept{stopped}"
-    return lower, f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}"
+        return replace(result, why=f"{came} ends at {at}, so the gain of the two-step method is kept{stopped}", method=BOTH)
+    return replace(lower, why=f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}", method=BOTH)
 
 
 def _refined(
-    plant: Plant, design: Design, below: LowerBound | None, largest_gain: float, work: "Work"
-) -> tuple[Design | None, float]:
+    plant: Plant, design: DesignResult, below: LowerBound | None, largest_gain: float, work: "Work"
+) -> tuple[DesignResult | None, float]:
     """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
 
     From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
     """
     from synth.analysis.bounding import certify_law
-    from synth.design.descent.refine import SEEN, WORTH, refine
+    from synth.design.descent.refine import WORTH, refine
     from synth.design.static import descended
 
     q = len(plant.Cy)
     kept = [i for i in range(q) if i not in design.redundant]
     few, start = plant.rows(kept), design.gain[:, kept]
     lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
-    search = partial(descended, few, replace(design, gain=start), largest_gain, below, work=work)
+    search = partial(descended, few, replace(design, law=static_law(start)), largest_gain, below, work=work)
     for descend in (partial(refine, few, None, start), *(partial(search, most=most) for most in LIMITS)):
         fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
@@ -206,7 +159,7 @@ def _refined(
             price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
             lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
             if lower and not certificate.failures and grown * size <= largest_gain:
-                found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, q, 0.0)
+                found = with_redundant_rows(DesignResult(static_law(gain), certificate, case=design.case), kept, q, 0.0)
                 lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
         gap = lowest.certificate.gap
         if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
@@ -214,11 +167,13 @@ def _refined(
     return lowest if lowest is not design else faster, growth
 
 
-def _known_gain(plant: Plant, two_steps: Design | str, lower_bound: LowerBound | None) -> tuple[Array, Certificate, str] | None:
+def _known_gain(
+    plant: Plant, two_steps: DesignResult | str, lower_bound: LowerBound | None
+) -> tuple[Array, Certificate, str] | None:
     """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
 
     def of_two_steps() -> Array | None:
-        return two_steps.gain if isinstance(two_steps, Design) else None
+        return two_steps.gain if isinstance(two_steps, DesignResult) else None
 
     def of_zero_l() -> Array | None:
         return zero_l_design(plant).gain

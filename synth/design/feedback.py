@@ -1,13 +1,12 @@
 """Design of any controller for any plant, with the keys of a controller's section as arguments.
 
-The arguments are checked first, also against the table of `models/laws/combinations.py`. By default the two steps design a static
-gain. If they find none, or end far above the lower bound, descent on the norm does (`fallback.py`). Every other method has its
-own file and can be called directly.
+The arguments are checked first, also against the table of `models/laws/combinations.py`, and make a `DesignProblem`, for which
+`synth.design.methods` chooses the method. Every method has its own file and can be called directly.
 """
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,91 +16,23 @@ from models.common.checks import Bound, NotNegative, Positive, PositiveTime
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import digits, percent
 from models.common.schema import read
-from models.document.document import Document
-from models.document.figure import Figure
-from models.document.text import Shown, facts
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, StructureSection
-from models.laws.linear import MOST_STATES, LinearLaw, gain_text, states_text, static_law
-from synth.analysis.bounding import certify_law
+from models.laws.linear import MOST_STATES
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
-from synth.analysis.stability import is_stable, stabilisability_failures
-from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
-from synth.design.two_step import LARGEST_GAIN
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, hold_intervals
+from synth.analysis.stability import stabilisability_failures
+from synth.design.methods import design as designed
+from synth.design.problem import LARGEST_GAIN, DesignProblem, DesignResult
+from synth.design.two_step import check_stabilisable
 from synth.plant.generalized import Plant, check_continuous, check_inputs, real_matrix
-from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
-SAMPLED = "sampled norm"
-FEW = 4  # states; of more the matrices of a law are not shown
-TWO_STEPS, DESCENT, BOTH = "the two steps", "descent on the norm", "the two steps and descent on the norm"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FeedbackDesign(Shown):
-    """A controller of a plant, with its certificate, and the method that led to it.
-
-    Attributes:
-        law: law from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, without a minus
-            sign; a static one is u = K y. With a sample period the next x_c replaces x_c'.
-        certificate: certificate of its loop, in continuous time or of the discrete plant. Noise is a part of w.
-        method: method of the design.
-        why: reason for that method, in words.
-        remark: distance from the optimum, assumptions and left-out measurements, in words; empty without any.
-        value: value of the objective that was minimised.
-        criterion: name of that value: "norm", "sampled norm", "H2 norm", or a goal.
-        sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
-            without a sample period, or if none is proved.
-    """
-
-    law: LinearLaw
-    certificate: Certificate
-    method: str
-    why: str
-    remark: str
-    value: float
-    criterion: str = "norm"
-    sampled_lower_bound: float | None = None
-
-    @property
-    def sampled_norm(self) -> float | None:
-        """L2 gain of the loop that the computer closes, see `synth.sampled_norm`; None without a sample period."""
-        return self.value if self.criterion == SAMPLED else None
-
-    @property
-    def gain(self) -> Array:
-        """K of a static law, shape (m, q).
-
-        Raises:
-            InputError: the law has states.
-        """
-        if self.law.states:
-            raise InputError(f"the law has {states_text(self.law)} and is not only a gain; use its attribute law")
-        return self.law.D
-
-    @property
-    def shown(self) -> Document:
-        """Returns law, method, reason and certificate as text."""
-        law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
-        value = {self.criterion: digits(self.value)} if self.criterion != "norm" else {}
-        value |= {"sampled lower bound": digits(self.sampled_lower_bound)} if self.sampled_lower_bound is not None else {}
-        rows = {**law, **value, **self.certificate.claims, "why": self.why, "remark": self.remark}
-        return facts(f"feedback by {self.method}, {self.certificate.shown.title}", rows)
-
-    @property
-    def drawn(self) -> tuple[Figure, ...]:
-        """The gain of the closed loop."""
-        return self.certificate.drawn
-
-
-def _law_shown(law: LinearLaw) -> dict[str, str]:
-    """Returns a law with states as text: how many, if they are stable by themselves, and its matrices if they are few."""
-    stable = is_stable(law.A, law.sample_period)
-    matrices = {name: gain_text(getattr(law, name)) for name in "ABCD"} if law.states <= FEW else {}
-    return {"law": f"{states_text(law)}; {'' if stable else 'not '}stable by itself"} | matrices
+BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+FeedbackDesign = DesignResult  # its public name
 
 
 @numerics()
@@ -191,7 +122,7 @@ def design_feedback(
     check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
     check_inputs(plant)
     plant = plant.measured(Cy if Cy is not None or len(plant.Cy) else np.eye(len(plant.A)), Dyw)
-    asked = _Asked(plant, noise, lower_bound, tuple(states))
+    rms = _rms(plant, noise)
     if delay and sample_period is None:
         raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample period; give sample_period in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
@@ -202,18 +133,31 @@ def design_feedback(
             f"{WHERE} largest_gain applies only to a static gain of the least norm; omit it, or give goals "
             'bounds = [{"gain": ...}]'
         )
-    law_structure = asked.structure({"order": order} | own) if of_law else None
+    problem = DesignProblem(
+        _with_noise(plant, rms),
+        order=FULL if order == FULL else STATIC,
+        structure=_structure(plant, {"order": order} | own) if of_law else None,
+        design=design or "",
+        stable=stable,
+        fastest_pole=fastest_pole,
+        largest_gain=LARGEST_GAIN if largest_gain is None else largest_gain,
+        lower_bound=lower_bound,
+        states=tuple(states),
+    )
     if sample_period is not None:
-        return asked.sampled(float(sample_period), float(delay), order == FULL, stable, law_structure)
-    if law_structure is not None:
-        return asked.structured(law_structure, stable)
-    if goals or len(family):
-        return asked.for_goals(goals, family)
+        return _sampled(problem, plant, rms, hold_intervals(float(sample_period), float(delay)))
+    if problem.structure is None and (goals or len(family)):
+        return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
-        return asked.quadratic(design)
-    if order == FULL:
-        return asked.full(stable, fastest_pole)
-    return asked.static(LARGEST_GAIN if largest_gain is None else largest_gain)
+        check_continuous(plant)
+        white = design != "h2"
+        problem = replace(problem, plant=plant if white else problem.plant)
+        problem = replace(problem, noise=tuple(rms) if design == "lqg" and len(rms) else None)
+    if design is None and problem.structure is None and order != FULL:
+        return _static(problem)
+    result = designed(problem)
+    why = f'design = "{design}"' if design is not None else 'order = "full"'
+    return result if result.why else replace(result, why=why)
 
 
 def _parts(
@@ -253,176 +197,95 @@ def _distance(certificate: Certificate) -> str:
     return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
 
 
-class _Asked:
-    """A plant with what is measured, checked, and every way to design for it."""
+def _rms(plant: Plant, noise: Sequence[float]) -> Array:
+    """Returns the rms of each measurement's noise, shape (q,); empty without noise.
 
-    def __init__(self, plant: Plant, noise: Sequence[float], lower_bound: LowerBound | None, states: tuple[str, ...]) -> None:
-        self.plant, self.lower_bound, self.states = plant, lower_bound, states
-        self.noise = real_matrix([list(noise)], "noise", "(q,)")[0]
-        if len(noise) and (self.noise.shape != (len(plant.Cy),) or not np.all(self.noise >= 0)):
-            raise InputError(
-                f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(plant.Cy)} numbers from 0 upwards, one for each "
-                "measurement"
-            )
-
-    def loud(self, plant: Plant) -> Plant:
-        """Returns a plant with the noise of the measurements as further disturbances."""
-        some = self.noise > 0
-        return plant.with_disturbances(np.diag(self.noise)[:, some]) if np.any(some) else plant
-
-    def static(self, largest_gain: float) -> FeedbackDesign:
-        """A static gain, by the two steps, and by descent from there or in their place."""
-        result, went_on = near_lower_bound(self.loud(self.plant), self.lower_bound, self.states, largest_gain)
-        certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
-        said = [result.case, f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""]
-        why = result.instead or went_on or "the two-step method finds a gain whose certificate holds"
-        method = DESCENT if result.instead else BOTH if went_on else TWO_STEPS
-        remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
-        return FeedbackDesign(static_law(result.gain), certificate, method, why, remark, certificate.norm.value)
-
-    def full(self, stable: bool, fastest_pole: float | None) -> FeedbackDesign:
-        """Returns a law of full order; if none with the least norm is found, that of the least mean square, or a gain."""
-        from synth.design.full_order.full_order import full_order_design
-
-        plant = self.loud(self.plant)
-        method, why = "Riccati equations for the least norm", 'order = "full"'
-        try:
-            given = plant, None, None, self.lower_bound, self.states
-            found = full_order_design(*given, stable=stable, fastest_pole=fastest_pole)
-            law, certificate, remark = found.law, found.certificate, found.remark
-        except InfeasibleError:
-            raise
-        except DesignError as error:
-            if stable or fastest_pole is not None:
-                raise
-            left = self._instead_of_full(plant)
-            if left is None:
-                raise
-            (law, certificate, method), remark = left, ""
-            why = f"Riccati equations for the least norm failed: {error}"
-        return FeedbackDesign(law, certificate, method, why, remark, certificate.norm.value)
-
-    def _instead_of_full(self, plant: Plant) -> tuple[LinearLaw, Certificate, str] | None:
-        from synth.design.full_order.quadratic import h2_design
-
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            h2 = h2_design(plant, states=self.states)
-            return h2.law, replace(h2.certificate, below=self.lower_bound), "H2, of full order"
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = two_steps_or_descent(plant, tuple, self.lower_bound, self.states)
-            return static_law(gain.gain), gain.certificate, DESCENT if gain.instead else TWO_STEPS
-        return None
-
-    def structure(self, section: Mapping[str, Any]) -> LawStructure | None:
-        """The structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
-        q, m = self.plant.Dyu.shape
-        measured, corners = [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
-        asked = read(WHERE, StructureSection, section, measured=measured, corners=corners)
-        with error_in(WHERE):
-            return asked.law_structure(measured, corners)
-
-    def structured(self, structure: LawStructure, stable: bool) -> FeedbackDesign:
-        """A law of a given order or structure, by descent."""
-        from synth.design.fixed_order.fixed_order import fixed_order_design
-
-        result = fixed_order_design(self.loud(self.plant), structure, self.lower_bound, self.states, stable)
-        why = f"from {result.origin}, for {structure.text}"
-        return FeedbackDesign(result.law, result.certificate, DESCENT, why, result.remark, result.certificate.norm.value)
-
-    def quadratic(self, name: str) -> FeedbackDesign:
-        """The law of the least mean square."""
-        from synth.design.full_order.quadratic import quadratic_design
-
-        plant = self.loud(self.plant) if name == "h2" else self.plant
-        check_continuous(plant)
-        noise = tuple(self.noise) if name == "lqg" and len(self.noise) else None
-        result = quadratic_design(name, plant, self.states, noise)
-        certificate = replace(result.certificate, below=self.lower_bound)
-        how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
-        return FeedbackDesign(result.law, certificate, how, f'design = "{name}"', result.remark, result.h2_norm, "H2 norm")
-
-    def sampled(self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None) -> FeedbackDesign:
-        """A gain or a law for the loop that a computer closes."""
-        check_continuous(self.plant)
-        if np.any(self.plant.Dyw):
-            raise InputError(
-                f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
-            )
-        from synth.design.static import bounded_work
-
-        if reasons := stabilisability_failures(self.plant, self.states):
-            raise InfeasibleError("; ".join(reasons))
-        rms = self.noise if np.any(self.noise) else None
-        problem = SampledDataProblem(self.plant, hold_intervals(period, delay), rms)
-        plant = self.loud(self.plant)
-        known, near, work = list[Array](), 1.0, bounded_work(self.plant)
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            if full:
-                from synth.lmi.full_order_bound import find_lower_bound
-
-                near = (self.lower_bound or find_lower_bound(plant)).gamma or 1.0
-            else:
-                ideal = two_steps_or_descent(plant, tuple, self.lower_bound, self.states, work=work)
-                known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
-        from synth.lmi.sampled_bound import find_sampled_bound
-
-        if full:
-            from synth.design.full_order.sampled_data import lowest_level, sampled_full_order
-
-            near, _ = lowest_level(problem, near, 0.0)
-            bound = find_sampled_bound(problem, near)
-            result = sampled_full_order(problem, bound, near, self.states, stable)
-            law, norm, method, why, remark = result.law, result.norm, "Riccati equations for the sampled loop", "", result.remark
-        elif structure is not None:
-            from synth.design.fixed_order.sampled_data import sampled_fixed_order
-
-            bound = find_sampled_bound(problem, near)
-            result = sampled_fixed_order(problem, bound, near, self.states, stable, structure, work)
-            law, norm, remark = result.law, result.norm, result.remark
-            method, why = "descent on the sampled norm", f"for {structure.text}"
-        else:
-            from synth.design.sampled_data import held_design
-
-            gain = held_design(problem, near, known, work)
-            law, norm, bound = static_law(gain.gain), gain.norm, find_sampled_bound(problem, near)
-            distance = percent(norm / bound.level - 1) if bound and bound.level else ""
-            remark = f"norm {distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
-            method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
-            why = (
-                f"the two-step method was not used: {gain.instead}"
-                if gain.instead
-                else "the two-step method finds a gain of this sampled norm"
-            )
-        certificate = certify_law(plant, law.continuous(), self.lower_bound)
-        said = [remark, "the certificate is that of the ideal loop, without sampling and delay"]
-        return FeedbackDesign(
-            law,
-            certificate,
-            method,
-            why or 'order = "full"',
-            "; ".join(text for text in said if text),
-            norm,
-            SAMPLED,
-            None if bound is None else bound.level,
+    Raises:
+        InputError: it does not fit the measurements.
+    """
+    rms = real_matrix([list(noise)], "noise", "(q,)")[0]
+    if len(noise) and (rms.shape != (len(plant.Cy),) or not np.all(rms >= 0)):
+        raise InputError(
+            f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(plant.Cy)} numbers from 0 upwards, one for each "
+            "measurement"
         )
+    return rms
 
-    def for_goals(self, section: Mapping[str, Any], family: Sequence[Plant]) -> FeedbackDesign:
-        """A gain for goals, of the plant and of a family."""
-        from synth.design.multi_objective.plant_goals import goals_of_plants
-        from synth.design.multi_objective.two_step_starts import remarks, run_search, with_individual_optima
 
-        for each in family:
-            check_inputs(each)
-        own = self.plant
-        plants = [self.loud(each) for each in (own, *(each.measured(own.Cy, own.Dyw) for each in family))]
-        goals, problem = goals_of_plants(WHERE, section, plants)
-        for each in plants:
-            check_stabilisable(each, self.states)
-        result = run_search(with_individual_optima(problem) if goals.over == REGRET else problem)
-        law, notes = static_law(result.gain), [*remarks(result)]
-        certificate = certify_law(plants[0], law, self.lower_bound)
-        if unproved := result.unproved:
-            notes.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")
-        over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
-        why = f"the goals are {listing([*section, *['family'] * bool(family)])}"
-        return FeedbackDesign(law, certificate, "descent for goals", why, "; ".join(notes), result.goal, over)
+def _with_noise(plant: Plant, rms: Array) -> Plant:
+    """Returns a plant with the noise of the measurements as further disturbances."""
+    some = rms > 0
+    return plant.with_disturbances(np.diag(rms)[:, some]) if np.any(some) else plant
+
+
+def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
+    """Returns the structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
+    q, m = plant.Dyu.shape
+    measured, corners = [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
+    asked = read(WHERE, StructureSection, section, measured=measured, corners=corners)
+    with error_in(WHERE):
+        return asked.law_structure(measured, corners)
+
+
+def _static(problem: DesignProblem) -> DesignResult:
+    """Designs a static gain, by the two steps, and by descent from there or in their place."""
+    check_stabilisable(problem.plant, problem.states)
+    if problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
+        from synth.lmi.full_order_bound import find_lower_bound
+
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            problem = replace(problem, lower_bound=find_lower_bound(problem.plant))
+    from synth.design.static import bounded_work
+
+    result = designed(replace(problem, work=bounded_work(problem.plant)))
+    left_out = [f"y{i + 1}" for i in result.redundant]
+    redundant = f"{', '.join(left_out)} depends on the others: its gain is zero" if left_out else ""
+    why = result.instead or result.why or "the two-step method finds a gain whose certificate holds"
+    texts = result.case, redundant, _distance(result.certificate)
+    return replace(result, why=why, remarks=tuple(text for text in texts if text))
+
+
+def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[HoldInterval, ...]) -> DesignResult:
+    """Designs a gain or a law for the loop that a computer closes."""
+    check_continuous(plant)
+    if np.any(plant.Dyw):
+        raise InputError(
+            f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
+        )
+    from synth.design.static import bounded_work
+
+    if reasons := stabilisability_failures(plant, problem.states):
+        raise InfeasibleError("; ".join(reasons))
+    held = SampledDataProblem(plant, pieces, rms if np.any(rms) else None)
+    known, near, work = list[Array](), 1.0, bounded_work(plant)
+    with contextlib.suppress(InputError, np.linalg.LinAlgError):
+        if problem.order == FULL:
+            from synth.lmi.full_order_bound import find_lower_bound
+
+            near = (problem.lower_bound or find_lower_bound(problem.plant)).gamma or 1.0
+        else:
+            static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, thorough=False)
+            ideal = designed(replace(static, work=work))
+            known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
+    result = designed(replace(problem, sampled=held, ideal=known, near=near, work=work))
+    texts = *result.remarks, "the certificate is that of the ideal loop, without sampling and delay"
+    return replace(result, why=result.why or 'order = "full"', remarks=texts)
+
+
+def _for_goals(
+    problem: DesignProblem, plant: Plant, rms: Array, section: Mapping[str, Any], family: Sequence[Plant]
+) -> DesignResult:
+    """Designs a gain for goals, of the plant and of a family."""
+    from synth.design.multi_objective.plant_goals import goals_of_plants
+    from synth.design.multi_objective.two_step_starts import with_individual_optima
+
+    for each in family:
+        check_inputs(each)
+    plants = [problem.plant, *(_with_noise(each.measured(plant.Cy, plant.Dyw), rms) for each in family)]
+    goals, posed = goals_of_plants(WHERE, section, plants)
+    for each in plants:
+        check_stabilisable(each, problem.states)
+    result = designed(replace(problem, goals=with_individual_optima(posed) if goals.over == REGRET else posed))
+    over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
+    why = f"the goals are {listing([*section, *['family'] * bool(family)])}"
+    return replace(result, why=why, criterion=over)

@@ -22,8 +22,8 @@ from models.common.errors import InputError, quoted
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.norm import hinf_norm
+from synth.design.two_step import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.central_path import fits
-from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import first_step, second_step, together
 from synth.plant.generalized import (
     Feedback,

@@ -22,23 +22,26 @@ import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import digits
+from models.common.printed import digits, percent
+from models.laws.linear import LinearLaw, static_law
+from synth.analysis.lower_bound import SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
 from synth.design.fallback import NOT_FROM_THESE
+from synth.design.problem import LARGEST_GAIN, SAMPLED_NORM, DesignProblem, DesignResult, Progress
 from synth.design.static import GainSearch, bounded_work
-from synth.design.two_step import LARGEST_GAIN, NO_GAIN, no_gain, state_path
+from synth.design.two_step import NO_GAIN, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
 from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError, numerics
@@ -154,6 +157,7 @@ def check_size(problem: SampledDataProblem) -> None:
         )
 
 
+DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
 CLOSE = 1e-9  # relative: so near to 1 a norm is it
 GROW = 1.05  # of a level, where there is no solution; the square of it the next time
 FAR = 1e3  # times where the search for a level starts
@@ -163,28 +167,75 @@ ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reache
 
 
 @dataclass(frozen=True, eq=False)
-class SampledDataDesign:
-    """A gain for the loop that a computer closes.
+class SampledDesign:
+    """A gain or a discrete law for the loop that a computer closes.
 
     Attributes:
-        gain: K, shape (m, q).
+        law: law from the measurements to the forces; a static one, or one in discrete time.
         norm: the L2 gain of its loop, exact.
-        level: level of the LMI; None for a gain that was found by descent.
-        kept: mask of the q measurements that do not follow from others; the gain of the other measurements is zero.
+        level: level of the LMI of a gain of the two steps; None for others.
+        kept: measurements that a gain uses, by index; the others follow from these.
         instead: reason why the two steps did not lead to this gain, in words; empty if they did.
+        remark: distance from the bound, in words; empty if it is small.
     """
 
-    gain: Array
+    law: LinearLaw
     norm: float
-    level: float | None
-    kept: tuple[int, ...]
+    level: float | None = None
+    kept: tuple[int, ...] = ()
     instead: str = ""
+    remark: str = ""
+
+    @property
+    def gain(self) -> Array:
+        """K of a static law, shape (m, q)."""
+        return self.law.D
+
+    def result(self, problem: DesignProblem, **more: Any) -> DesignResult:
+        """Returns the design with the certificate of its ideal loop.
+
+        Raises:
+            DesignError: the law has no counterpart in continuous time.
+        """
+        try:
+            certificate = problem.certified(self.law)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise DesignError(f"the law designed for the sampled loop cannot be converted to continuous time: {error}") from error
+        return DesignResult(self.law, certificate, value=self.norm, criterion=SAMPLED_NORM, **more)
+
+
+def bound_of(problem: DesignProblem, near: float) -> SampledBound | None:
+    """Returns the lower bound of the sampled loop of a problem; None if none is proved."""
+    if not problem.thorough:
+        return problem.sampled_bound
+    from synth.lmi.sampled_bound import find_sampled_bound
+
+    assert problem.sampled is not None, "a sampled loop"
+    return find_sampled_bound(problem.sampled, near)
+
+
+def sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a static gain for the loop that a computer closes."""
+    assert problem.sampled is not None, "a sampled loop"
+    found, remarks, level = held_design(problem.sampled, problem.near, problem.ideal, problem.work), (), None
+    if problem.thorough:
+        bound = bound_of(problem, problem.near)
+        level = None if bound is None else bound.level
+        remarks = (f"norm {percent(found.norm / level - 1)} above the lower bound of the sampled loop" if level else NO_BOUND,)
+    if found.instead:
+        method, why = DESCENT_SAMPLED, f"the two-step method was not used: {found.instead}"
+    else:
+        method, why = "the two steps for the sampled loop", "the two-step method finds a gain of this sampled norm"
+    return replace(
+        found.result(problem, method=method, why=why, remarks=remarks, sampled_lower_bound=level),
+        level=found.level,
+        instead=found.instead,
+        redundant=tuple(i for i in range(len(problem.sampled.plant.Cy)) if i not in found.kept),
+    )
 
 
 @numerics()
-def held_design(
-    problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
-) -> SampledDataDesign:
+def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None) -> SampledDesign:
     """Runs the two steps, or the first alone if all states are measured.
 
     Args:
@@ -217,7 +268,7 @@ def held_design(
             raise InfeasibleError(reasons) from error
         raise
     gain = on_all_rows(K, rows, len(problem.plant.Cy))
-    return SampledDataDesign(gain, norm, level, tuple(rows), instead)
+    return SampledDesign(static_law(gain), norm, level, tuple(rows), instead)
 
 
 def _gain(

@@ -37,8 +37,8 @@ from synth.design.descent.minimax import along_edges, quasi_newton
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.descent.symmetry import Symmetry
-from synth.design.two_step import LARGEST_GAIN, Design, no_gain, two_step_design
-from synth.lmi.output_feedback import independent_rows
+from synth.design.problem import LARGEST_GAIN, DesignResult
+from synth.design.two_step import independent_rows, no_gain, two_step_design
 from synth.plant.generalized import Plant, check_inputs, on_all_rows
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
@@ -83,7 +83,7 @@ class StaticDesign:
 
     gain: Array
     certificate: Certificate
-    two_steps: Design | None
+    two_steps: DesignResult | None
     without: str
     origin: str
     starts: int
@@ -156,7 +156,7 @@ def static_output_feedback(
 @numerics()
 def descended(
     plant: Plant,
-    two_steps: Design | str,
+    two_steps: DesignResult | str,
     largest_gain: float = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     rival: float = np.inf,
@@ -176,14 +176,14 @@ def descended(
     search.limit = np.minimum(search.limit, most)
     candidates = search.starts()
     starts = len(candidates)
-    if isinstance(two_steps, Design):
+    if isinstance(two_steps, DesignResult):
         candidates += search.refined(two_steps)
     if not candidates:
         tried = f"descent on the norm from {MOST} starts{f', {work.text}' if work.over else ''}"
         raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
     best = search.widened(search.best(candidates))
     K = search.smallest(best)
-    steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
+    steps, without = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
     certificate = certify_law(plant, static_law(K), lower_bound)
     return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
 
@@ -226,7 +226,7 @@ class GainSearch:
         own = self.landscape.plant
         self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
 
-    def refined(self, two_steps: Design) -> list[Candidate]:
+    def refined(self, two_steps: DesignResult) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""
         if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * BEHIND[0]:
             return self.admitted(self.landscape.point(two_steps.gain), "the two steps")

@@ -137,6 +137,11 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
             yield F
 
 
+def sees_every_state(plant: Plant) -> bool:
+    """Returns True if neither without control nor under the gain -D^+ C a state is unobservable in z."""
+    return not any(output_nulling_subspace(plant, F)[1].shape[1] for F in output_nulling_gains(plant))
+
+
 def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
     """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
     n = len(plant.A)

@@ -1,61 +1,39 @@
 """The designs of a vehicle file: from a controller's name to a certified gain, and what those of one vehicle share."""
 
+import contextlib
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
-from models.laws.combinations import PREVIEW, check_command, goes
+from models.laws.combinations import check_command, goes
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import AnyController, Controller, certify_law, on_readings, verify_record
+from synth.controller.controller import AnyController, Controller, certify_law, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
-from synth.design.fallback import two_steps_or_descent
-from synth.design.two_step import Design, state_design, state_path, zero_l_design
+from synth.design.methods import design as design_for
+from synth.design.problem import DesignProblem, Progress, quiet
+from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
+from synth.vehicle.design_problem import controller_of, design_problem
 
 if TYPE_CHECKING:
     from synth.vehicle.refined import RefinedController
 
 
-STATE_ALONE = (
-    "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
-    "feedback"
-)
-
-
-def no_progress(goal: float, within: bool) -> None:
-    """Ignores what a search has reached."""
-
-
 NOT_REFINED = "but --refine changes static gains, which have no integral; omit --refine"
-
-
-def designed(entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
-    """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
-    beside = STATE_ALONE if entry.name == "state" and len(posed.plant.Cy) < len(posed.plant.A) else ""
-    redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
-    return Controller.of(
-        entry,
-        posed.on_readings(static_law(posed.plant.on_readings(design.gain))),
-        design.certificate,
-        steps=design,
-        redundant=redundant,
-        degeneracy="; ".join(filter(None, (design.case, beside))),
-        fallback_method=design.instead,
-    )
 
 
 class SharedDesignData:
@@ -178,7 +156,7 @@ class Designer:
         return self._sampled_bounds[key]
 
     @at_the_door
-    def design(self, name: str, zero_l: bool = False, on_progress: Callable[[float, bool], None] = no_progress) -> Controller:
+    def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
@@ -209,52 +187,58 @@ class Designer:
 
         return with_robustness(self.vehicle, controller, errors)
 
-    def _design(self, name: str, zero_l: bool, on_progress: Callable[[float, bool], None]) -> Controller:
+    def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
         """Designs a controller, or certifies a given one; see `design`."""
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
-        hardware = entry.hardware
         if zero_l:
             check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
-        posed = self.problem(entry.measured, hardware)
+        posed = self.problem(entry.measured, entry.hardware)
         try:
-            lower_bound = self.lower_bound(entry.measured, hardware)
-            if entry.design and entry.sampled:
-                from synth.vehicle.sampled_data import full_order_sampled_design
-
-                return full_order_sampled_design(self.vehicle, entry, posed, lower_bound, self._sampled_bound(entry))
-            if entry.design:
-                controller = self._named(entry, posed, lower_bound, on_progress)
-                if entry.errors is None:
-                    return controller
-                from synth.vehicle.weighted_errors import is_robust_design, robust_controller
-
-                return robust_controller(self.vehicle, entry, controller, on_progress) if is_robust_design(entry) else controller
+            lower_bound = self.lower_bound(entry.measured, entry.hardware)
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
                 return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
-            if entry.sampled:
-                from synth.vehicle.sampled_data import sampled_design
+            problem = self.design_problem(entry, posed, lower_bound, "zero_l" if zero_l else "")
+            controller = controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
+            if entry.errors is None:
+                return controller
+            from synth.vehicle.weighted_errors import is_robust_design, robust_controller
 
-                return sampled_design(
-                    self.vehicle, entry, posed, lower_bound, lambda: self._in_two_steps(entry, posed, lower_bound)
-                )
-            return self._in_two_steps(entry, posed, lower_bound, zero_l)
+            return (
+                robust_controller(self.vehicle, entry, controller, problem, on_progress)
+                if is_robust_design(entry)
+                else controller
+            )
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
-    def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
-        """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
-        shared = self.shared(entry.hardware)
+    def design_problem(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, method: str = "") -> DesignProblem:
+        """Returns the design problem of a section without goals.
+
+        Args:
+            posed: plant and measurements that the controller is judged with.
+            lower_bound: lower bound for any controller from these measurements.
+            method: the only method to use; by default those that the problem leads to.
+        """
+        problem, shared = design_problem(self.vehicle, entry, posed, lower_bound), self.shared(entry.hardware)
+        if not entry.design:
+            problem = replace(problem, path=lambda: shared.state_path)
+        if entry.sampled and entry.design:
+            return replace(problem, sampled_bound=self._sampled_bound(entry))
+        if entry.sampled:
+            ideal = self.design_problem(replace(entry, sampled=False), posed, lower_bound)
+            with contextlib.suppress(DesignError):
+                law = controller_of(self.vehicle, replace(entry, sampled=False), posed, ideal, design_for(ideal)).law
+                problem = replace(problem, ideal=(law.D,))
+            return problem
+        if method == "zero_l":
+            return replace(problem, plant=posed.plant, method=method)
         if entry.name == "state" and len(posed.plant.Cy) == len(posed.plant.A):
-            design = state_design(self.plant, self.state_path, lower_bound)
-        elif zero_l:
-            design = zero_l_design(posed.plant, lower_bound)
-        else:
-            design = two_steps_or_descent(posed.plant.without_feedthrough, lambda: shared.state_path, lower_bound, shared.states)
-        return designed(entry, design, posed)
+            return replace(problem, plant=self.plant.measured(np.eye(len(self.plant.A))), method="state")
+        return problem
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
@@ -294,36 +278,6 @@ class Designer:
 
             wrong = (changed,) if (changed := changed_since(self.vehicle, entry)) else wrong
         return replace(controller, false_claims=wrong)
-
-    def _named(
-        self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]
-    ) -> Controller:
-        """Returns a controller that is designed in another way than by two steps: with a structure by force, or on C_y x."""
-        from synth.analysis.norm import hinf_norm
-        from synth.design.fixed_order.fixed_order import fixed_order_design
-        from synth.design.full_order.by_name import named_design
-        from synth.vehicle.quadratic import preview_controller, white_noise
-
-        structure, as_run = entry.structure, partial(on_readings, posed=posed)
-        by_force = structure is not None and structure.rows is not None
-
-        def on_found(law: LinearLaw) -> None:
-            plant, feedback = posed.closed_loop(law if by_force else as_run(law))
-            on_progress(hinf_norm(plant.closed_loop(feedback)).value, True)
-
-        if entry.design == PREVIEW:
-            found = preview_controller(self.vehicle, entry, posed)
-            return replace(found, certificate=replace(found.certificate, below=lower_bound))
-        states = self.shared(entry.hardware).states
-        if structure is not None and by_force:
-            found = fixed_order_design(posed.plant, structure, lower_bound, states, entry.stable, on_found=on_found)
-            law, certificate = found.law, found.certificate
-        else:
-            noise = white_noise(self.vehicle, entry, posed)
-            given = entry.design, structure, posed.of_states, lower_bound, states, noise, entry.stable, as_run, on_found
-            found = named_design(*given, fastest_pole=entry.fastest_pole)
-            law, certificate = as_run(found.law), replace(found.certificate, below=lower_bound)
-        return Controller.of(entry, replace(law, anti_windup=entry.anti_windup), certificate, remarks=found.remarks)
 
     @at_the_door
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":

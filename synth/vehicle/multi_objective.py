@@ -10,23 +10,25 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in
 from models.common.printed import digits, percent
 from models.laws.goals import REGRET, EnergyBound, Goals, NormBound, NormOf, PeakBound
-from models.laws.linear import LinearLaw, static_law
+from models.laws.linear import LinearLaw
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
+from synth.design.methods import design as design_for
 from synth.design.multi_objective.design import improved_goal
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import Told
-from synth.design.multi_objective.two_step_starts import remarks, run_search, with_individual_optima
+from synth.design.multi_objective.two_step_starts import with_individual_optima
+from synth.design.problem import DesignProblem
 from synth.plant.generalized import Plant
+from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
 
 USUAL_SPEED = 12.5  # m/s, the paper's (62)
@@ -180,10 +182,10 @@ def goals_design(
     problem = goal_problem(vehicle, entry, goals)
     # Said of every family, minimised where that is asked for.
     bests = with_individual_optima(problem) if goals.family else problem
-    design = run_search(bests if goals.over == REGRET else problem, on_progress)
-    law = static_law(design.gain)
-    certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
-    said = [*remarks(design)]
+    certify = certify_ideal_loop(posed, lower_bound)
+    asked = DesignProblem(posed.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
+    design = design_for(asked, on_progress)
+    law, certificate, said = design.law, design.certificate, [*design.remarks]
     if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.narrow for bound in goals.bounds):
         said.append(
             f"the norm has no bound outside the band of the goal, and is {digits(certificate.norm.value)}; to limit it, give "
@@ -191,9 +193,9 @@ def goals_design(
         )
     if goals.structure is not None and not np.all(problem.structure):
         full = replace(problem, structure=np.ones_like(problem.structure))
-        goal = improved_goal(full, design, on_progress)  # which descends from the design for a limited number of rounds
+        goal = improved_goal(full, design.details, on_progress)  # which descends from the design for a limited number of rounds
         said.append(
-            f"the structure costs at least {percent(design.goal / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
+            f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
             "and may reach a lower value"
         )
     promises = Verification(vehicle, entry, goals, bests, design.gain).promises()

@@ -18,8 +18,7 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from synth.analysis.certificate import certify
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
-from synth.design.two_step import state_path, two_step_design, zero_l_design
-from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
+from synth.design.two_step import l_matrix, output_feedback, r_matrix, state_path, two_step_design, zero_l_design
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer

@@ -13,7 +13,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem
 from synth.design.descent.refine import SEEN, Refinement, from_some, refine, worth_refining
-from synth.lmi.output_feedback import independent_rows
+from synth.design.two_step import independent_rows
 
 
 @dataclass(frozen=True, eq=False)

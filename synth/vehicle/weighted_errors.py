@@ -6,8 +6,7 @@ Both are peaks over frequency of the structured singular value mu of its loop. T
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -23,18 +22,16 @@ from models.vehicle.weighted_errors import WeightedErrors
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import FREQUENCY, ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification
-from synth.controller.controller import Controller, on_readings
+from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, plant_states
-from synth.design.full_order.by_name import named_design
+from synth.design.methods import design as design_for
+from synth.design.problem import DesignProblem
 from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_design
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
-
-if TYPE_CHECKING:
-    from models.laws.law_structure import LawStructure
 
 SAMPLED = "robust stability and performance (mu) are those of the continuous loop, not of the sampled one"
 
@@ -70,6 +67,7 @@ def robust_controller(
     vehicle: Vehicle,
     entry: ControllerEntry,
     nominal: Controller,
+    problem: DesignProblem,
     on_progress: Callable[[float, bool], None] = lambda goal, within: None,
 ) -> Controller:
     """Returns a controller of an entry with a better robust performance than one that is designed for the norm alone.
@@ -78,18 +76,18 @@ def robust_controller(
 
     Args:
         nominal: the controller designed for the norm; returned if no other is better.
+        problem: its design problem.
         on_progress: callback that receives the robust performance so far, and True.
     """
     assert entry.errors is not None, "it has weights"
     posed = nominal.problem(vehicle)
     structured = structured_plant(vehicle, nominal, entry.errors)
-    kept, as_run = posed.state_measurements, partial(on_readings, posed=posed)
+    kept, unbounded = posed.state_measurements, replace(problem, lower_bound=LowerBound(0.0), states=())
 
-    def designs(name: str, structure: "LawStructure | None") -> Design:
+    def designs(**kind: Any) -> Design:
         def design(plant: Plant) -> LinearLaw:
-            measured = plant.rows(kept).without_feedthrough
-            given = name, structure, measured, LowerBound(0.0), (), None, entry.stable, as_run
-            return as_run(named_design(*given, fastest_pole=entry.fastest_pole).law)
+            scaled = replace(unbounded, plant=plant.rows(kept).without_feedthrough, **kind)
+            return problem.as_run(design_for(scaled).law)
 
         return design
 
@@ -101,9 +99,9 @@ def robust_controller(
             best[:] = [found]
         on_progress(found.gamma, True)
 
-    full = robust_design(structured, designs(FULL, None), first, on_turn)
+    full = robust_design(structured, designs(order=FULL, structure=None), first, on_turn)
     if entry.structure is not None:
-        robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
+        robust_design(structured, designs(), first, on_turn, full.law)
     if not best[0].turns:
         return nominal
     law = replace(best[0].law, anti_windup=entry.anti_windup)

@@ -33,8 +33,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError
+from synth.design.problem import LARGEST_GAIN
 from synth.design.static import static_output_feedback
-from synth.design.two_step import LARGEST_GAIN
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError

@@ -13,7 +13,8 @@ import time
 import numpy as np
 
 from models.common.errors import InputError
-from synth.design.fallback import two_steps_or_descent
+from synth.design.methods import design as design_for
+from synth.design.problem import DesignProblem
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
@@ -53,7 +54,7 @@ def main(arguments: list[str]) -> int:
         plant, Cy = chain(size)
         start = time.process_time()
         try:
-            design = two_steps_or_descent(plant.measured(Cy))
+            design = design_for(DesignProblem(plant.measured(Cy), thorough=False))
         except DesignError as error:
             print(f"{size:4d} states: {error}")
             return 1

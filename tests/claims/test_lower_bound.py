@@ -12,9 +12,9 @@ from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import span_all
+from synth.design.two_step import state_feedback
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.synth.test_static import random_plant

@@ -14,8 +14,8 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import Nullspace, identity, integers, product
 from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.design.static import static_output_feedback
+from synth.design.two_step import state_feedback
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from tests.support.commands import attacks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from synth.analysis.norm import hinf_norm
-from synth.lmi.output_feedback import nullspace
+from synth.design.two_step import nullspace
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import NoSolutionError

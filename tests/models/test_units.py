@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.design.two_step import Design, state_design, state_path, two_step_design, zero_l_design
+from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.central_path import CENTRED
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError

@@ -16,7 +16,8 @@ from models.common.errors import InputError
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
 from synth.design.descent.refine import refine, worth_refining
-from synth.design.fallback import two_steps_or_descent
+from synth.design.methods import design as design_for
+from synth.design.problem import DesignProblem
 from synth.design.static import static_output_feedback
 from synth.design.two_step import state_design, two_step_design, zero_l_design
 from synth.lmi.full_order_bound import find_lower_bound
@@ -119,7 +120,7 @@ def ask_everything(seed: int, search: bool) -> None:
     asked(lambda: worth_refining(plant.measured(Cy), K))
     if search:
         asked(lambda: static_output_feedback(plant, Cy, lower_bound=below))
-        asked(lambda: two_steps_or_descent(plant.measured(Cy)))
+        asked(lambda: design_for(DesignProblem(plant.measured(Cy), thorough=False)))
 
 
 @pytest.mark.attack

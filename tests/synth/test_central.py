@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from synth.design.two_step import state_path, two_step_design
+from synth.design.two_step import l_matrix, nullspace, output_feedback, r_matrix, state_feedback, state_path, two_step_design
 from synth.lmi.central_path import central_path
-from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix, state_feedback
 from synth.lmi.sdp import solve_lmi
 from tests.conftest import plant_with_feedthrough
 

@@ -16,9 +16,8 @@ from synth.analysis.stability import is_stable, stability
 from synth.design.descent.refine import refine
 from synth.design.full_order.full_order import full_order_design
 from synth.design.static import static_output_feedback
-from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
+from synth.design.two_step import l_matrix, nullspace, r_matrix, state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError

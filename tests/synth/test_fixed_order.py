@@ -20,7 +20,7 @@ from synth.analysis.norm import hinf_norm
 from synth.command.table import Row, answers
 from synth.controller.report import pid_line, sign_note
 from synth.design.feedback import design_feedback
-from synth.design.fixed_order.fixed_order import FixedOrderDesign, _Search, fixed_order_design
+from synth.design.fixed_order.fixed_order import _Search, fixed_order_design
 from synth.design.fixed_order.pattern import structured_gain
 from synth.design.full_order.full_order import as_designed
 from synth.design.static import Candidate
@@ -70,7 +70,7 @@ def of_numbers(x: np.ndarray) -> LinearLaw:
 
 
 @functools.cache
-def found_for(seed: int, order: int) -> FixedOrderDesign:
+def found_for(seed: int, order: int) -> DesignResult:
     """The law of an order for `posed`."""
     return fixed_order_design(posed(seed)[0].measured(*posed(seed)[1:]), LawStructure(order))
 

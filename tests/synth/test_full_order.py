@@ -14,8 +14,9 @@ from synth.analysis.certificate import FASTEST
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
 from synth.controller.problem import generalized_plant
-from synth.design.full_order.full_order import FullOrderDesign, full_order_design
+from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.riccati import SAME, WITHIN, central_law
+from synth.design.problem import DesignResult
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.plant.units import speed
@@ -34,7 +35,7 @@ def loop_by_hand(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: n
     return GeneralizedPlant(A, np.zeros((len(A), 1)), Bw, C, np.zeros((len(C), 1)), plant.Dw + plant.D @ law.D @ Dyw)
 
 
-def holds(plant: GeneralizedPlant, Cy: np.ndarray, found: FullOrderDesign, Dyw: np.ndarray | None = None) -> None:
+def holds(plant: GeneralizedPlant, Cy: np.ndarray, found: DesignResult, Dyw: np.ndarray | None = None) -> None:
     """Everything that is claimed of a design, from its law alone."""
     loop = loop_by_hand(plant, Cy, found.law, np.zeros((len(Cy), plant.Bw.shape[1])) if Dyw is None else Dyw)
     certificate = found.certificate
@@ -127,7 +128,7 @@ def test_random_plants(kind, seed):
     assert found.certificate.gap < WITHIN
 
 
-def designed(plant: GeneralizedPlant, Cy: np.ndarray) -> FullOrderDesign:
+def designed(plant: GeneralizedPlant, Cy: np.ndarray) -> DesignResult:
     return full_order_design(plant, Cy)
 
 
@@ -400,7 +401,7 @@ def any_noisy(seed: int, dt: float | None) -> tuple[GeneralizedPlant, np.ndarray
     return plant, rng.standard_normal((1, n)), np.array([[0, 10 ** rng.uniform(-2, 0)]])
 
 
-def assert_bounded(found: FullOrderDesign) -> None:
+def assert_bounded(found: DesignResult) -> None:
     """The certificate of a design holds, of a discrete plant too, and a remark is made where the lower bound is not reached."""
     assert not found.certificate.failures
     assert found.certificate.lower_bound is not None
@@ -408,7 +409,7 @@ def assert_bounded(found: FullOrderDesign) -> None:
     assert ("above" in found.remark) == (found.certificate.norm.value > found.certificate.lower_bound * (1 + WITHIN))
 
 
-def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> FullOrderDesign:
+def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> DesignResult:
     """Checks what the tests below claim, and returns the design that it is claimed of."""
     found = full_order_design(plant, Cy, Dyw)
     assert_bounded(found)

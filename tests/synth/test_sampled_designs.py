@@ -17,8 +17,7 @@ from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
 from synth.design.full_order.sampled_data import WITHIN, sampled_full_order
 from synth.design.sampled_data import held_design, norm_of, two_steps
-from synth.design.two_step import state_path
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
+from synth.design.two_step import l_matrix, nullspace, r_matrix, state_path
 from synth.lmi.sampled_bound import find_sampled_bound
 from synth.plant.generalized import GeneralizedPlant, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError

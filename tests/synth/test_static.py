@@ -15,8 +15,8 @@ from synth.design.descent.minimax import along_edges
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import stabilise
 from synth.design.static import static_output_feedback
+from synth.design.two_step import l_matrix, nullspace, r_matrix
 from synth.lmi.central_path import central_path
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from tests.benchmarks.compleib import held

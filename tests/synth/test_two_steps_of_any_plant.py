@@ -15,10 +15,10 @@ from synth.analysis.norm import hinf_norm
 from synth.command.cross_check import cross_check
 from synth.controller.report import notes
 from synth.design.descent.refine import refine
-from synth.design.two_step import Design, state_design, state_path, two_step_design, well_posed
+from synth.design.problem import DesignResult
+from synth.design.two_step import l_matrix, nullspace, r_matrix, state_design, state_path, two_step_design, well_posed
 from synth.lmi.central_path import Basis, unknowns
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
@@ -213,7 +213,7 @@ def check(family: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
             assert_certified(design, plant, y)
 
 
-def assert_certified(design: Design, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
+def assert_certified(design: DesignResult, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
     """Poles, a sweep below the bound, and what is said of the case."""
     assert design.certificate.failures == ()
     G = design.gain @ Cy

@@ -12,8 +12,8 @@ from synth.analysis.interpolation import limit_at_zeros, zero_limit
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.record import read_proof, to_record
 from synth.analysis.rigorous import radius_of_solution
+from synth.design.two_step import state_feedback
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
 from tests.claims.test_lower_bound import full_order_norm
 from tests.claims.test_no_controller_beats_a_bound import a_plant, in_other_units

@@ -13,7 +13,7 @@ comes to what no controller beats: then the law has fewer states than it may.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -26,15 +26,17 @@ from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import stabilisability_failures
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
 from synth.design.fixed_order.reduction import reductions
-from synth.design.full_order.full_order import DEADBEAT, as_designed, discrete_law, full_order_design
+from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
+from synth.design.problem import DESCENT, DesignProblem, DesignResult, Progress, as_designed
 from synth.design.static import MOST, Candidate, GainSearch, bounded_work
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.discrete import mapped
@@ -59,28 +61,6 @@ ONE_STATE = LawStructure(1)
 Start = tuple[LinearLaw, str]
 
 
-@dataclass(frozen=True, eq=False)
-class FixedOrderDesign:
-    """A law of a given order or structure.
-
-    Attributes:
-        law: law on the measurements.
-        certificate: certificate of its loop.
-        origin: the start that led to it, in words.
-        remark: list of PI or PID gains, or the reason for fewer states than allowed; empty without either.
-    """
-
-    law: LinearLaw
-    certificate: Certificate
-    origin: str
-    remark: str
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Its remark and its origin, in words."""
-        return (*([self.remark] if self.remark else []), f"designed by descent on the norm from {self.origin}")
-
-
 @numerics()
 def fixed_order_design(
     plant: Plant,
@@ -92,7 +72,7 @@ def fixed_order_design(
     known: Sequence[LinearLaw] = (),
     on_found: Callable[[LinearLaw], None] = lambda law: None,
     work: Work | None = None,
-) -> FixedOrderDesign:
+) -> DesignResult:
     """Returns the law of the least norm that descents find, of a given order or structure, with its certificate.
 
     Args:
@@ -134,7 +114,20 @@ def fixed_order_design(
     best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
     stopped = counted.text if counted.over else ""
     remarks = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
-    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in remarks if text))
+    return DesignResult(best, search.certified(best), DESCENT, remarks=tuple(text for text in remarks if text), origin=origin)
+
+
+def structured(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a law of a given order or structure by descent."""
+    structure = problem.structure
+    assert structure is not None, "it is for a structure"
+
+    def on_found(law: LinearLaw) -> None:
+        progress(hinf_norm(problem.plant.closed(law)).value, True)
+
+    given = problem.plant, structure, problem.lower_bound, problem.states, problem.stable, problem.as_run
+    result = fixed_order_design(*given, on_found=on_found, work=problem.work)
+    return replace(result, why=f"from {result.origin}, for {structure.text}")
 
 
 def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> str:

@@ -16,7 +16,8 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.descent.landscape import Work
 from synth.design.fixed_order.fixed_order import fixed_order_design
-from synth.design.full_order.sampled_data import SampledFullOrderDesign
+from synth.design.problem import DesignProblem, DesignResult, Progress
+from synth.design.sampled_data import DESCENT_SAMPLED, SampledDesign, bound_of
 from synth.design.static import bounded_work
 from synth.plant.generalized import law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
@@ -35,7 +36,7 @@ def sampled_fixed_order(
     stable: bool,
     structure: LawStructure,
     work: Work | None = None,
-) -> SampledFullOrderDesign:
+) -> SampledDesign:
     """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
 
     Args:
@@ -75,4 +76,15 @@ def sampled_fixed_order(
     if law is None:
         raise DesignError(str(failure) if failure else "no law with a stable sampled loop was found")
     remarks = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
-    return SampledFullOrderDesign(law, norm, "; ".join([*remarks, *[remark] * bool(remark)]))
+    return SampledDesign(law, norm, remark="; ".join([*remarks, *[remark] * bool(remark)]))
+
+
+def sampled_structured(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a law of a given order or structure for the loop that a computer closes."""
+    assert problem.sampled is not None, "a sampled loop"
+    assert problem.structure is not None, "a structure"
+    bound = bound_of(problem, problem.near)
+    given = problem.sampled, bound, problem.near, problem.states, problem.stable, problem.structure, problem.work
+    found, why = sampled_fixed_order(*given), f"for {problem.structure.text}"
+    remarks, level = (found.remark,) if found.remark else (), None if bound is None else bound.level
+    return found.result(problem, method=DESCENT_SAMPLED, why=why, remarks=remarks, sampled_lower_bound=level)

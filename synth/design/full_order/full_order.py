@@ -10,7 +10,7 @@ A discrete plant is designed as the continuous one that it is mapped to.
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,25 +20,21 @@ from models.common.errors import InputError
 from models.common.printed import about, brief, digits, percent, rough
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
+from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
 from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select
 from synth.design.full_order.stable import stable_laws
-from synth.design.static import LARGEST_GAIN, REACHED, static_output_feedback
+from synth.design.problem import LARGEST_GAIN, DesignProblem, DesignResult, Progress, as_designed
+from synth.design.static import REACHED, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.discrete import mapped
 from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
+RICCATI = "Riccati equations for the least norm"
 SINGULAR = 1e-12  # relative; what is this small is zero
-
-
-def as_designed(law: LinearLaw) -> LinearLaw:
-    """Returns the law itself, which is run as it is designed."""
-    return law
 
 
 def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLaw:
@@ -142,27 +138,6 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
 DEADBEAT = 4.0  # over dt: so fast is z = -1/3 on the map, and z = 0 half as fast; whatever sets a force in each sample can follow
 
 
-@dataclass(frozen=True, eq=False)
-class FullOrderDesign:
-    """A full-order controller, and its alternatives.
-
-    Attributes:
-        law: law on y = C_y x + Dyw w with as many states as the plant, without negligible ones.
-        certificate: certificate of its loop, with matrices of the plant with the law's states (`Plant.with_law`).
-        trade: the Pareto front of norm and speed, the slowest first; empty if the controller is within the requested distance of
-            the bound and not fast. For a discrete plant they belong to its continuous image.
-        remark: distance from the bound and its reason, and a fast pole and its price, in words; empty if it is within the
-            requested distance and not fast.
-        stable: True if the law itself is stable; an unstable one grows while its loop is open, as when a force saturates.
-    """
-
-    law: LinearLaw
-    certificate: Certificate
-    trade: tuple[TradeOffPoint, ...]
-    remark: str
-    stable: bool
-
-
 @numerics()
 def full_order_design(
     plant: Plant,
@@ -174,7 +149,7 @@ def full_order_design(
     stable: bool = False,
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     fastest_pole: Positive | None = None,
-) -> FullOrderDesign:
+) -> DesignResult:
     """A full-order controller within 0.1 % of what no controller beats, stable and slow if possible; else the nearest.
 
     Beyond 100 times the plant's own speed, ten times the speed must be worth 0.1 % of the norm.
@@ -220,17 +195,17 @@ def full_order_design(
         fastest = min(fastest, fastest_pole / search.fastest)
     much = min(fastest, search.much)
 
-    def proved(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> FullOrderDesign:
+    def proved(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> DesignResult:
         reduced = search.reduced(best)
         law = reduced.law if plant.dt is None else discrete_law(reduced.law, *image, plant.dt)
         certificate = certify_law(plant, law, below)
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
         said = [_remark(reduced, trade, below.gamma), _speed(reduced, trade) if plant.dt is None else ""]
-        remark = "; ".join(text for text in said if text)
-        return FullOrderDesign(law, certificate, tuple(trade), remark, is_stable(law.A, plant.dt))
+        remarks = tuple(text for text in said if text)
+        return DesignResult(law, certificate, RICCATI, remarks=remarks, trade=tuple(trade))
 
-    def nearest() -> FullOrderDesign:
+    def nearest() -> DesignResult:
         lost, enough = list[Exception](), below.gamma * (1 + WITHIN)
         near = search.near(fastest)
         if near is not None and near.excess == 1:
@@ -288,12 +263,24 @@ def full_order_design(
             own = proved(best, laws)
             if not as_run(own.law).growth:
                 against = _against(own, unconstrained, as_run) + undescended
-                return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
+                return replace(own, remarks=(*own.remarks, against))
         laws = [each for each in laws if each is not best]
     raise DesignError(f"every law found is unstable by itself{undescended}; omit stable = true, or measure more signals")
 
 
-def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
+def riccati(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a law of full order for the least norm."""
+    return full_order_design(
+        problem.plant,
+        lower_bound=problem.lower_bound,
+        states=problem.states,
+        stable=problem.stable,
+        as_run=problem.as_run,
+        fastest_pole=problem.fastest_pole,
+    )
+
+
+def _against(own: DesignResult, other: DesignResult, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
     """Returns the cost of a law that is stable by itself compared with an unstable one, in words."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1

@@ -13,43 +13,23 @@ which falls as T grows, and is that of LQR for T = 0. The integral follows from 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.laws.linear import LinearLaw
 from models.laws.preview import RoadPreview
 from models.laws.python_law import AHEAD
-from synth.analysis.certificate import Certificate
 from synth.design.full_order.quadratic import lqr_design, on_rows, state_rows
+from synth.design.problem import DesignProblem, DesignResult, Progress
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 from synth.plant.units import own_units
 
 
-@dataclass(frozen=True, eq=False)
-class PreviewDesign:
-    """A controller with the least mean square for a disturbance that is known ahead.
-
-    Attributes:
-        law: feedback law, that of LQR.
-        preview: F(s) on w, the road's velocity, without a part from its height; None if nothing is known ahead.
-        h2_norm: rms of z under white noise w.
-        without: rms of z if nothing is known ahead.
-        certificate: certificate of the feedback for the worst case of w, without the preview.
-    """
-
-    law: LinearLaw
-    preview: RoadPreview | None
-    h2_norm: float
-    without: float
-    certificate: Certificate
-
-
 @numerics()
-def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> PreviewDesign:
+def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> DesignResult:
     """The law of the state and the coming disturbance with the smallest mean square of z. D_w is left out, as by `lqr_design`.
 
     Args:
@@ -92,4 +72,11 @@ def preview_design(plant: Plant, preview: float, states: Sequence[str] = (), Cy:
     saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
     least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
     ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None
-    return PreviewDesign(on_rows(lqr.law, plant.Cy, rows), ahead, float(least), lqr.h2_norm, lqr.certificate)
+    law = on_rows(lqr.law, plant.Cy, rows)
+    return replace(lqr, law=law, preview=ahead, value=float(least), without=lqr.h2_norm)
+
+
+def preview(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs the law of the state and of the road ahead."""
+    result = preview_design(problem.plant, problem.preview, problem.states, problem.plant.Cy)
+    return replace(result, certificate=replace(result.certificate, below=problem.lower_bound))

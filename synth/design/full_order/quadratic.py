@@ -13,7 +13,7 @@ White noise through Dw has no mean square. No control changes it, and it is omit
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
@@ -22,8 +22,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.certificate import Certificate
 from synth.analysis.stability import balance, is_stable, stabilisability_failures
+from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress
 from synth.plant.generalized import Plant, check_inputs, check_posed, real_matrix
 from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
@@ -35,24 +35,7 @@ NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves 
 LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
 
 
-@dataclass(frozen=True, eq=False)
-class QuadraticDesign:
-    """A quadratically optimal controller.
-
-    Attributes:
-        law: static law on the state for LQR; otherwise as many states as the plant, a Kalman filter's estimate.
-        h2_norm: rms of z under white noise w and LQG's noise, of the given plant without regularisation; Dw left out.
-        certificate: certificate of its loop for the worst case of w, without LQG's noise, which has no rms there.
-        remark: assumptions in words, or empty.
-    """
-
-    law: LinearLaw
-    h2_norm: float
-    certificate: Certificate
-    remark: str
-
-
-def lqr_design(plant: Plant, states: Sequence[str] = ()) -> QuadraticDesign:
+def lqr_design(plant: Plant, states: Sequence[str] = ()) -> DesignResult:
     """The state feedback u = K x with the smallest mean square of z, whatever of the states is disturbed.
 
     Args:
@@ -78,7 +61,7 @@ def lqr_design(plant: Plant, states: Sequence[str] = ()) -> QuadraticDesign:
 
 def lqg_design(
     plant: Plant, Cy: Array | None = None, noise: Sequence[float] | None = None, states: Sequence[str] = ()
-) -> QuadraticDesign:
+) -> DesignResult:
     """Returns the controller of y = C_y x + v with the least mean square of z; v is independent white noise.
 
     Args:
@@ -113,7 +96,7 @@ def lqg_design(
     return _design(plant, states, False, np.diag(sizes))
 
 
-def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, states: Sequence[str] = ()) -> QuadraticDesign:
+def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, states: Sequence[str] = ()) -> DesignResult:
     """The controller of y = C_y x + Dyw w with the smallest H2 norm from w to z.
 
     Args:
@@ -137,24 +120,22 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
     return _design(plant.measured(Cy, Dyw), states, False)
 
 
-def quadratic_design(name: str, plant: Plant, states: Sequence[str], noise: Sequence[float] | None) -> QuadraticDesign:
-    """Designs an LQR, LQG or H2 controller by its name, with a law on C_y x + Dyw w.
-
-    Args:
-        name: "lqr", "lqg" or "h2".
-        plant: plant with measurements; for "lqr" as many as states, whose Dyw counts for "h2" only.
-        noise: noise of each measurement, for "lqg"; None without noise.
+def quadratic(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs the law of the least mean square, with its law on C_y x + Dyw w; LQR has as many measurements as states.
 
     Raises:
         DesignError: not every state is measured, as LQR requires.
         InputError, InfeasibleError, DesignError: errors of `lqr_design`, `lqg_design` and `h2_design`.
     """
-    if name != "lqr":
-        return lqg_design(plant, None, noise, states) if name == "lqg" else h2_design(plant, states=states)
-    plant = plant.measured(plant.Cy)
-    rows = state_rows(plant)
-    lqr = lqr_design(plant, states)
-    return replace(lqr, law=on_rows(lqr.law, plant.Cy, rows))
+    plant, states = problem.plant, problem.states
+    if problem.design == "lqr":
+        plant = plant.measured(plant.Cy)
+        rows = state_rows(plant)
+        result = lqr_design(plant, states)
+        result = replace(result, law=on_rows(result.law, plant.Cy, rows))
+    else:
+        result = lqg_design(plant, None, problem.noise, states) if problem.design == "lqg" else h2_design(plant, states=states)
+    return replace(result, certificate=replace(result.certificate, below=problem.lower_bound))
 
 
 def state_rows(plant: Plant) -> list[int]:
@@ -188,8 +169,11 @@ def h2_norm(loop: Plant) -> float:
 
 
 @numerics()
-def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> QuadraticDesign:
-    """Returns the law with the smallest mean square.
+def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
+    """Returns the law with the smallest mean square, with the H2 norm as its value.
+
+    The norm is that of the given plant under white noise w and LQG's noise, without regularisation; Dw left out. The certificate
+    is for the worst case of w, without LQG's noise, which has no rms there.
 
     Args:
         noise: feedthrough from additional white noise to y, shape (q, k), which affects the mean alone.
@@ -218,7 +202,9 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
         ) from error
     share = f"{100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
     remark = f"this design needs {' and '.join(assumed)}; {share}" if assumed else ""
-    return QuadraticDesign(law, h2_norm(shaken.closed(law)), certificate, remark)
+    method = "a Riccati equation" if all_known else "two Riccati equations"
+    value, remarks = h2_norm(shaken.closed(law)), (remark,) if remark else ()
+    return DesignResult(law, certificate, method, remarks=remarks, value=value, criterion=H2_NORM)
 
 
 def _assumed(D: Array) -> tuple[Array, float]:

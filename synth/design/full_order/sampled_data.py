@@ -10,7 +10,7 @@ is designed there. If the norm of its loop is not near that level, the level mov
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +24,8 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.full_order.full_order import discrete_law, full_order_design
 from synth.design.full_order.riccati import RiccatiSearch
+from synth.design.problem import DesignProblem, DesignResult, Progress
+from synth.design.sampled_data import SampledDesign, bound_of
 from synth.plant.discrete import mapped
 from synth.plant.generalized import Plant, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
@@ -40,25 +42,10 @@ STEPS = 40  # of that, at most
 CLOSE = 1e-4  # relative; how closely that level is bracketed
 
 
-@dataclass(frozen=True, eq=False)
-class SampledFullOrderDesign:
-    """A discrete law for the loop that a computer closes.
-
-    Attributes:
-        law: law in discrete time, from the measurements to the forces.
-        norm: the L2 gain of its loop, exact.
-        remark: distance from the bound, in words; empty if it is within `WITHIN`.
-    """
-
-    law: LinearLaw
-    norm: float
-    remark: str
-
-
 @numerics()
 def sampled_full_order(
     problem: SampledDataProblem, bound: SampledBound | None, near: float, states: Sequence[str] = (), stable: bool = False
-) -> SampledFullOrderDesign:
+) -> SampledDesign:
     """Designs a law within 0.1 % of the lower bound, or the nearest that was found.
 
     Args:
@@ -71,7 +58,7 @@ def sampled_full_order(
         InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
         DesignError: no law was found.
     """
-    best: SampledFullOrderDesign | None = None
+    best: SampledDesign | None = None
     failure: Exception | None = None
     goal = bound.level if bound is not None else 0.0
     least, level = lowest_level(problem, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
@@ -96,7 +83,7 @@ def sampled_full_order(
             level *= HIGHER[stable]
             continue
         if best is None or norm < best.norm:
-            best = SampledFullOrderDesign(law, norm, "")
+            best = SampledDesign(law, norm)
         ended = best.norm <= least * (1 + WITHIN) or norm <= level * (1 + WITHIN / 10)
         if ended:
             break
@@ -107,7 +94,17 @@ def sampled_full_order(
         return best
     above = f"{percent(best.norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"
     stopped = "" if ended else f"; the search stopped after {rounds} levels"
-    return SampledFullOrderDesign(best.law, best.norm, f"{above}: no law that was tried comes closer{stopped}")
+    return replace(best, remark=f"{above}: no law that was tried comes closer{stopped}")
+
+
+def sampled_full(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a law of full order for the loop that a computer closes."""
+    assert problem.sampled is not None, "a sampled loop"
+    near = lowest_level(problem.sampled, problem.near, 0.0)[0] if problem.thorough else problem.near
+    bound = bound_of(problem, near)
+    found = sampled_full_order(problem.sampled, bound, near, problem.states, problem.stable)
+    remarks, level = (found.remark,) if found.remark else (), None if bound is None else bound.level
+    return found.result(problem, method="Riccati equations for the sampled loop", remarks=remarks, sampled_lower_bound=level)
 
 
 def _as_run(law: LinearLaw, image: tuple[Plant, Array], period: float) -> LinearLaw:

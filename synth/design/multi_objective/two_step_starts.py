@@ -7,10 +7,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
+from models.laws.linear import static_law
 from synth.design.multi_model import slack_design
 from synth.design.multi_objective.design import MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.problem import MultiObjectiveProblem
 from synth.design.multi_objective.search import Told
+from synth.design.problem import DesignProblem, DesignResult, Progress
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError
@@ -73,3 +75,15 @@ def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
         "designed for its goals, by descent from the two-step method and other starts; not accepted: "
         f"{percent(design.rejected_improvement)} less for up to twice the gain",
     )
+
+
+def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a gain for goals, by descent from the two steps and from other starts."""
+    assert problem.goals is not None, "goals"
+    found = run_search(problem.goals, progress)
+    law, notes = static_law(found.gain), [*remarks(found)]
+    if problem.thorough and (unproved := found.unproved):
+        notes.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")
+    certificate = problem.certified(law)
+    given = law, certificate, "descent for goals"
+    return DesignResult(*given, remarks=tuple(notes), value=found.goal, criterion="goal", details=found)

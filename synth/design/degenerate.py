@@ -1,0 +1,148 @@
+"""Plants whose problem (22) has no optimum, or where every gain is one; beside each stands a problem that has one:
+
+- **w does not reach z**, or some gain keeps it out: a norm of 0 is reached, and eta has no bound. Then every state that z sees is
+  disturbed by itself, too.
+- **No control force reaches z**: the norm is the same for all gains. Then every state and every force counts, too.
+
+The gain is certified for the plant as it is: an X that proves a bound with more disturbances and outputs proves it with fewer.
+
+A plant of which z sees every state, whatever the gain, never comes here (`synth.design.two_step.regular`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.analysis.stability import balance, is_stable, largest, pole_text, stabilisability_failures
+from synth.design.problem import WellPosedProblem
+from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
+from synth.plant.generalized import Plant
+from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.units import own_units, size
+
+INSTEAD = "designed for a disturbance of every state that z contains"
+
+
+def regularised(plant: Plant) -> WellPosedProblem:
+    """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units."""
+    if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
+        return WellPosedProblem(plant)  # bad input, and the central path says so
+    scale, forces = own_units(plant).exact
+    step, form = plant.dt or 0.0, plant.differences
+    own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
+    blind = output_nulling_subspace(own, nothing)[1]  # what z does not see without control
+    alone = nothing if is_stable(plant.A, plant.dt) else None
+    strength = size(own.Bw) * (plant.dt or 1.0)
+    everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
+
+    if not np.any(plant.D) and not _leaves(own.B, blind):
+        text = "no control force affects z, so its norm is the same for every gain"
+        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; no force is applied")
+
+    kept, rest, F = _seen(own, step)
+    direct = bool(np.any(plant.Dw))
+    if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
+        return WellPosedProblem(plant)
+    beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
+    how = "affects z only through Dw" if direct else "does not affect z"
+    if not _leaves(own.Bw, blind):
+        text = f"without control w {how}"
+        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; no force is applied")
+    best = forces[:, None] * F / scale
+    stable = is_stable(plant.closed_loop(best).A, plant.dt)
+    text = f"with the right state feedback w {how}; {INSTEAD}"
+    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w {how}")
+
+
+def unpenalised_inputs(plant: Plant) -> list[str]:
+    """Returns a message if a control force costs nothing, as (22) then has no optimum; empty otherwise."""
+    step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
+    _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
+    W = rest.independent_inputs()
+    rank = int(np.linalg.matrix_rank(rest.D @ W, RANK * size(rest.D))) if W.shape[1] else 0
+    if rank < W.shape[1]:
+        return [
+            f"z weights only {rank} of {W.shape[1]} independent control forces, so that nothing limits the optimal gain; give "
+            "every control force a weight"
+        ]
+    return []
+
+
+def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> list[str]:
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
+    dt, plant = plant.dt, own_units(plant).into(plant.differences)
+    scale = balance(plant.A)[1]
+    balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
+    for F in output_nulling_gains(balanced):
+        V, A = output_nulling_subspace(balanced, F)[1], balanced.closed_loop(F).A
+        poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
+        rounding = RANK * size(A)
+        if dt is None:
+            still = [
+                (abs(pole.imag) if abs(pole.imag) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real) <= rounding
+            ]
+        else:  # |1 + dt pole| = 1
+            still = [
+                (pole if abs(pole) > rounding else 0.0, vector)
+                for pole, vector in zip(poles, vectors.T, strict=True)
+                if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
+            ]
+        if still:  # the slowest of them: which comes first is rounding's choice
+            at, vector = min(still, key=lambda pair: abs(pair[0]))
+            where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
+            return [
+                f"z does not contain the mode at {pole_text(where, dt)}, which does not decay and appears most in "
+                f"{largest(scale * (V @ vector), names)}, so the optimal loop is not stable; weight a signal that contains this "
+                "mode, or remove the mode from the model"
+            ]
+    return []
+
+
+def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) -> None:
+    """Refuses a problem with a mode that does not decay and that z does not contain, as the path of (22) then has no end.
+
+    Raises:
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: the optimal loop is not stable.
+    """
+    if modes := unobservable_marginal_modes(problem, states):  # a path without an end may be followed for a while
+        if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
+            raise InfeasibleError(reached_by_none)
+        raise DesignError(modes[0])
+
+
+def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
+    """Returns coordinates (n, k) and plant of the part that `unseen` leaves for (22), and the gain that hides the rest."""
+    kept, parts = np.eye(len(plant.A)), []
+    while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
+        kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
+    F = np.zeros_like(plant.B.T)
+    for part in reversed(parts):
+        F = part.gain(F)
+    return kept, plant, F
+
+
+def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
+    """Returns True if inputs drive states outside a subspace, or if their given part `what` is not zero."""
+    outside = inputs - inside @ (inside.T @ inputs) if what is None else what
+    return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
+
+
+def _disturbed(plant: Plant, where: Array) -> Plant:
+    """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
+    Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
+    return replace(plant, Bw=Bw, Dw=Dw)
+
+
+def _counting(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
+    """With every state and every input in z, each in its own size, where the plant itself is `own`."""
+    n, m = plant.B.shape
+    weight = size(own.C)
+    states, inputs = weight * np.diag(1 / scale), weight * size(own.B) / size(own.A) * np.diag(1 / forces)
+    C = np.vstack([plant.C, states, np.zeros((m, n))])
+    D = np.vstack([plant.D, np.zeros((n, m)), inputs])
+    return replace(plant, C=C, D=D, Dw=np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))

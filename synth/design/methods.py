@@ -1,0 +1,111 @@
+"""The methods of design, by name, the choice between them, and `design`, which runs the choice.
+
+A method is a function in a file of its own, and a line in `METHODS`:
+
+    def method(problem: DesignProblem, progress: Progress) -> DesignResult
+
+It raises an InputError, such as a DesignError, where it finds no controller.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+
+from models.common.errors import InputError, alike
+from models.laws.law_structure import FULL
+from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
+from synth.plant.numerics import InfeasibleError, numerics
+
+Method = Callable[[DesignProblem, Progress], DesignResult]
+METHODS = {
+    "two_steps": "synth.design.two_step:two_steps",
+    "state": "synth.design.two_step:state",
+    "zero_l": "synth.design.two_step:zero_l",
+    "descent": "synth.design.fallback:descent",
+    "refinement": "synth.design.fallback:refinement",
+    "structured": "synth.design.fixed_order.fixed_order:structured",
+    "riccati": "synth.design.full_order.full_order:riccati",
+    "lqr": "synth.design.full_order.quadratic:quadratic",
+    "lqg": "synth.design.full_order.quadratic:quadratic",
+    "h2": "synth.design.full_order.quadratic:quadratic",
+    "preview": "synth.design.full_order.preview:preview",
+    "goals": "synth.design.multi_objective.two_step_starts:for_goals",
+    "sampled": "synth.design.sampled_data:sampled",
+    "sampled_full": "synth.design.full_order.sampled_data:sampled_full",
+    "sampled_structured": "synth.design.fixed_order.sampled_data:sampled_structured",
+}
+
+
+def method_of(name: str) -> Method:
+    """Returns the method of a name.
+
+    Raises:
+        InputError: no method has that name.
+    """
+    if name not in METHODS:
+        raise InputError(f"design method {name!r} is not known; known are {alike(name, METHODS)}")
+    module, _, function = METHODS[name].partition(":")
+    return getattr(import_module(module), function)
+
+
+def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Returns the methods that a problem leads to: some to try one after another until one succeeds, and some that go on then."""
+    if problem.method:
+        return (problem.method,), ()
+    if problem.sampled is not None:
+        return ("sampled_full" if problem.order == FULL else "sampled_structured" if problem.structure else "sampled",), ()
+    if problem.structure is not None:
+        return ("structured",), ()
+    if problem.goals is not None:
+        return ("goals",), ()
+    if problem.design:
+        return (problem.design,), ()
+    static = "two_steps", "descent"
+    if problem.order == FULL:
+        free = problem.thorough and not problem.stable and problem.fastest_pole is None
+        return ("riccati", *(("h2", *static) if free else ())), ()
+    return static, ("descent", "refinement") if problem.thorough else ("descent",)
+
+
+@numerics()
+def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
+    """Designs a controller by the methods that a problem leads to.
+
+    Args:
+        progress: callback that receives the value reached so far, and True if all bounds are kept.
+
+    Raises:
+        InfeasibleError: no such controller stabilises the plant; the message names the mode.
+        DesignError: no method found one; the message gives the reason.
+    """
+    tries, further = (tuple(name for name in names if name in METHODS) for names in choose(problem))
+    failures: list[Exception] = []
+    for name in tries:
+        try:
+            problem = problem.starting(method_of(name)(problem, progress))
+            break
+        except (InputError, np.linalg.LinAlgError) as error:
+            if isinstance(error, InfeasibleError) and not failures:
+                raise
+            failures.append(error)
+            problem = replace(problem, failure=error)
+    if problem.start is None:
+        raise failures[0] if problem.order == FULL else failures[-1]
+    if failures and problem.order == FULL:
+        return _instead_of_riccati(problem, failures[0])
+    for name in further:
+        problem = problem.starting(method_of(name)(problem, progress))
+    assert problem.start is not None, "a method returns a result"
+    return problem.start
+
+
+def _instead_of_riccati(problem: DesignProblem, failure: Exception) -> DesignResult:
+    """Returns the result of another method than that of the least norm, with the reason for it."""
+    result = problem.start
+    assert result is not None, "a method found one"
+    certificate = replace(result.certificate, below=problem.lower_bound)
+    why = f"Riccati equations for the least norm failed: {failure}"
+    method = "H2, of full order" if result.criterion == H2_NORM else result.method
+    return DesignResult(result.law, certificate, method, why)

@@ -1,0 +1,156 @@
+"""The design problem of a controller's section, and the controller of its result."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.common.printed import digits
+from models.laws.combinations import FULL, PREVIEW
+from models.laws.linear import LinearLaw, static_law
+from models.laws.preview import RoadPreview
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.controller.controller import Controller, on_readings
+from synth.controller.implementation_norm import held_problem
+from synth.controller.problem import Problem, plant_states, road_twist_inputs
+from synth.design.full_order.quadratic import AT_ONCE, state_rows
+from synth.design.problem import H2_NORM, DesignProblem, DesignResult
+from synth.plant.numerics import DesignError
+
+STATE_ALONE = (
+    "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
+    "feedback"
+)
+
+
+def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> DesignProblem:
+    """Returns the design problem of a section, without goals.
+
+    Args:
+        posed: plant and measurements that the controller is judged with.
+        lower_bound: lower bound for any controller from these measurements.
+
+    Raises:
+        InputError: a preview without every state; or the vehicle has no sample period, but the design is for a sampled loop.
+        DesignError: LQG with noise, but without a sample period.
+    """
+    by_force = entry.structure is not None and entry.structure.rows is not None
+    problem = DesignProblem(
+        plant=posed.plant if by_force else posed.of_states if entry.design else posed.plant.without_feedthrough,
+        order="full" if entry.design == FULL else "static",
+        structure=entry.structure,
+        design=entry.design if entry.design not in ("", FULL, "order", "pid") else "",
+        stable=entry.stable,
+        fastest_pole=entry.fastest_pole,
+        noise=white_noise(vehicle, entry, posed),
+        preview=entry.preview,
+        thorough=False,
+        lower_bound=lower_bound,
+        states=plant_states(vehicle, entry.hardware.bandwidth),
+    )
+    if entry.design and not by_force:
+        problem = replace(problem, as_run=partial(on_readings, posed=posed))
+    if entry.sampled:
+        states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
+        near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
+        return replace(problem, sampled=held_problem(vehicle, entry), near=near, states=states, certify=certify)
+    if entry.design == PREVIEW:
+        try:
+            state_rows(problem.plant)
+        except DesignError:
+            raise InputError(
+                f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of filters in "
+                "[performance]; give constant weights, integrals of deflections, or another design"
+            ) from None
+    return problem
+
+
+def certify_ideal_loop(posed: Problem, lower_bound: LowerBound) -> Callable[[LinearLaw], Certificate]:
+    """Returns a function that certifies the ideal loop of a law on the readings."""
+    return lambda law: certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
+
+
+def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
+    """Returns the noise of each measurement that depends on the state, for LQG; None without noise.
+
+    Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+
+    Raises:
+        DesignError: noise is given, and no T.
+    """
+    if entry.design != "lqg":
+        return None
+    how = vehicle.implementation
+    if how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
+        raise DesignError(
+            "LQG uses white noise of intensity rms times sqrt(sample_period), but [implementation] has noise without "
+            "sample_period; give both, or neither"
+        )
+    rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
+    levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
+    return levels if any(levels) else None
+
+
+def controller_of(
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, problem: DesignProblem, result: DesignResult
+) -> Controller:
+    """Returns the controller of a result, with its law on the readings of sensors."""
+    law, remarks = problem.as_run(result.law), result.remarks
+    redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
+    if entry.sampled:
+        of_gain = "" if result.law.states else ", without measuring the delayed forces" * bool(vehicle.implementation.delay)
+        level = f", whose norm is at most {digits(result.level)} by the LMI" if result.level is not None else ""
+        remarks = "; ".join([f"designed for the sampled loop{of_gain}{level}", *remarks])
+        instead = f"designed by descent on the sampled norm; reason: {result.instead}" if result.instead else ""
+        more = {"remarks": (remarks,), "sampled": True, "redundant": redundant, "fallback_method": instead}
+        return Controller.of(entry, replace(law, anti_windup=entry.anti_windup), result.certificate, **more)
+    if not entry.design:
+        beside = STATE_ALONE if entry.name == "state" and len(posed.plant.Cy) < len(posed.plant.A) else ""
+        return Controller.of(
+            entry,
+            posed.on_readings(static_law(posed.plant.on_readings(result.gain))),
+            result.certificate,
+            steps=result,
+            redundant=redundant,
+            degeneracy="; ".join(filter(None, (result.case, beside))),
+            fallback_method=result.instead,
+        )
+    if problem.structure is not None:
+        remarks = *([result.remark] if remarks else []), f"designed by descent on the norm from {result.origin}"
+    if result.criterion == H2_NORM:
+        remarks = _of_mean_square(problem, result), *remarks
+    preview = None if result.preview is None else _on_roads(vehicle, result.preview)
+    law = replace(law, anti_windup=entry.anti_windup)
+    return Controller.of(entry, law, result.certificate, remarks=remarks, preview=preview)
+
+
+def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
+    """Returns what a design for the least mean square minimises, in words."""
+    of_white_noise, at_once = "the rms of z if road velocity is white noise of intensity 1", AT_ONCE * np.any(problem.plant.Dw)
+    if problem.design == PREVIEW:
+        return (
+            f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
+            f"({digits(result.without)} without preview), {of_white_noise}{at_once}"
+        )
+    # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
+    heard = {"lqg": problem.noise, "h2": problem.plant.Dyw}.get(problem.design)
+    beside = {"lqg": ", with noise of the sensors", "h2": ", with noise of w on the sensors"}
+    noise = beside[problem.design] if heard is not None and np.any(heard) else ""
+    return f"minimises the mean square of z: the H2 norm is {digits(result.h2_norm)}, {of_white_noise}{noise}{at_once}"
+
+
+def _on_roads(vehicle: Vehicle, ahead: RoadPreview) -> RoadPreview:
+    """Returns a preview of the plant's disturbances as one of roads.
+
+    A twist of the road, which acts by its height, is a disturbance beside its velocity (`generalized_plant`), and known too.
+    """
+    model = vehicle.linear_model
+    r = len(model.disturbances)
+    heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
+    return RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)
