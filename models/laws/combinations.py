@@ -10,6 +10,7 @@ from typing import Any
 
 from models.common.errors import InputError, quoted
 from models.common.schema import keys
+from models.laws.design_methods import DESIGNS, OF_STATE
 from models.laws.goals import PATTERNS, Goals
 from models.laws.law_structure import FULL, STATIC, is_order
 from models.laws.linear import MATRICES
@@ -21,10 +22,7 @@ KINDS = {  # of controllers: a section is one of them
     "full": '`order = "full"`',
     "order": "`order = 2`",
     "pid": '`structure = "pid"`',
-    "lqr": '`design = "lqr"`',
-    "lqg": '`design = "lqg"`',
-    "h2": '`design = "h2"`',
-    "preview": '`design = "preview"`',
+    **{name: f'`design = "{name}"`' for name in DESIGNS},
     "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
@@ -47,45 +45,45 @@ COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`"
 # Columns of the site's first table:
 KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")
 FLAGS = ("stable", "noise", "lag", "sampled", "study")
-QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
-PREVIEW = "preview"  # a further one, of the state and the road ahead
 
 _OF_STATE = "this design uses the full state, not the signals of sensors"
-_DESIGNED = "full order pid lqr lqg h2 preview"
+_OTHERS = " ".join(DESIGNS)
+_STATES = " ".join(OF_STATE)
+_DESIGNED = f"full order pid {_OTHERS}"
 _GOALS = "goals tolerance family"
 _STUDIED = f"steps {_DESIGNED} semi_active"
 _NO_CLAIM = "such a law is used unchanged, and linear analysis does not apply to it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
         "stable",
-        f"gain states steps lqr lqg h2 preview {_GOALS}",
+        f"gain states steps {_OTHERS} {_GOALS}",
         "stable = true is available only for designs with an order",
     ),
     ("stable", "pid", "the integral part has a pole at 0, so the law alone is not stable"),
     (
         "fastest_pole",
-        f"gain states steps order pid lqr lqg h2 preview {_GOALS}",
+        f"gain states steps order pid {_OTHERS} {_GOALS}",
         f'fastest_pole is available only for order = "{FULL}"',
     ),
     ("fastest_pole", "sampled", "in a design for the sampled loop, the sample period already limits the speed"),
-    ("anti_windup", f"gain steps lqr preview {_GOALS}", "a static gain has no states that can wind up"),
-    ("noise", "lqr preview", _OF_STATE),
+    ("anti_windup", f"gain steps {_STATES} {_GOALS}", "a static gain has no states that can wind up"),
+    ("noise", _STATES, _OF_STATE),
     ("noise", "lqg", "this design always uses the noise of its sensors"),
-    ("lag", "lqr preview", _OF_STATE),
+    ("lag", _STATES, _OF_STATE),
     ("sampled", "gain states", "a given law is not designed"),
-    ("sampled", "lqr lqg h2 preview", "a design for the sampled loop minimises the norm, not the mean square"),
+    ("sampled", _OTHERS, "a design for the sampled loop minimises the norm"),
     ("sampled", f"loads {_GOALS}", "a design for the sampled loop minimises the norm from road and noise alone"),
     (
         "study",
         f"{_STUDIED} {_GOALS} weights refine front",
         "only a given law may measure heights, because no sensor on a car measures them",
     ),
-    ("loads", "lqr lqg h2 preview", "this design minimises the mean square of the response to the road alone"),
+    ("loads", _OTHERS, "this design is for the response to the road alone"),
     ("loads", _GOALS, "goals describe the response to the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are available only for static gains in continuous time") for goals in _GOALS.split()),
     ("force", "pid", "each force of this law uses one measured signal"),
     ("force", "steps", "a measured force contains no information about the state"),
-    ("force", "lqr preview", _OF_STATE),
+    ("force", _STATES, _OF_STATE),
     ("force", "semi_active", "a semi-active law selects its own measured signals"),
     ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "only static gains of the smallest norm can be refined"),
     ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "only the two-step design has a matrix L"),

@@ -15,7 +15,8 @@ from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, Rea
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD
-from models.laws.combinations import PATTERNS, PREVIEW, QUADRATIC, check_together, goes, section_parts
+from models.laws.combinations import PATTERNS, check_together, goes, section_parts
+from models.laws.design_methods import DESIGNS, OF_STATE, PREVIEW
 from models.laws.filter import Filter
 from models.laws.goals import Goals
 from models.laws.law_structure import FULL, LawStructure, StructureSection
@@ -77,7 +78,7 @@ class ControllerEntry(Demands):
         law: law from the q measurements to the m forces if the file contains its numbers; None if the law is to be designed.
         certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
         design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
-            `QUADRATIC` or `PREVIEW`; empty for the paper's two steps.
+            `DESIGNS`; empty for the paper's two steps.
         python: the law in Python that the file names instead, without any claim; None for all others.
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
         sampled: True if it is designed for the sampled loop.
@@ -214,7 +215,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Sig
     sample_period: Annotated[float, SI("s", "sample period of a discrete law", high=LONGEST_PERIOD)] | None = None
     file: Annotated[str, Text("MATLAB file with the law, next to the vehicle file")] | None = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
-    design: Annotated[str, Choice("method of design instead of the two-step design", (*QUADRATIC, PREVIEW))] | None = None
+    design: Annotated[str, Choice("method of design instead of the two-step design", DESIGNS)] | None = None
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
     sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
@@ -322,7 +323,7 @@ def _entry(
     semi_active = asked.semi_active_law([key for key in given if key != "actuators"], model.outputs, model.inputs, dampers)
     if semi_active is not None:
         return ControllerEntry(name, semi_active.measured, semi_active=semi_active, forced=forced)
-    of_state, python, measurable = asked.design in ("lqr", PREVIEW), asked.program(folder), listing(model.measurable)
+    of_state, python, measurable = asked.design in OF_STATE, asked.program(folder), listing(model.measurable)
     measured = asked.measured or (model.states if of_state else ())
     if not measured:
         raise InputError(f"measured is missing; give a list of signals from {measurable}")

@@ -25,6 +25,7 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import DESCENT, LARGEST_GAIN, TWO_STEPS, DesignProblem, DesignResult, Progress
 from synth.design.two_step import (
     NO_GAIN,
+    NOT_FROM_THESE,
     check_stabilisable,
     independently_measured,
     no_gain,
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
 BOTH = f"{TWO_STEPS} and {DESCENT}"
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
-NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
@@ -52,8 +52,8 @@ def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
     """Returns why the result of the two steps is not left at that, in words; empty where it is.
 
     The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
-    moves; L (14) ties a gain to that X all the same. So with filters the two steps are mended rather than believed. And a gain
-    that is worse than none is none.
+    moves; L (14) ties a gain to that X all the same. So with filters descent goes on from the two steps. It also goes on
+    from a gain whose norm is above that without control.
     """
     plant, norm, gap = problem.plant, steps.certificate.norm.value, steps.certificate.gap
     if np.any(plant.Dyw):
@@ -73,7 +73,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a static gain by descent on the norm where the two steps find none, or none that suffices.
 
     Raises:
-        DesignError: it finds no gain whose certificate holds; the message gives the reason. A certificate may lack a bound if
+        DesignError: no gain was found whose certificate holds; the message gives the reason. A certificate may lack a bound if
             rounding leaves no proof, as for the large gains of 60 states.
     """
     plant, steps, failure = problem.plant, problem.start, problem.failure

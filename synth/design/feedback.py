@@ -16,7 +16,8 @@ from models.common.checks import Bound, NotNegative, Positive, PositiveTime
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import digits, percent
 from models.common.schema import read
-from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
+from models.laws.combinations import FULL, PATTERNS, STATIC, check_together, is_order, section_parts
+from models.laws.design_methods import DESIGNS, PREVIEW
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, StructureSection
 from models.laws.linear import MOST_STATES
@@ -31,6 +32,7 @@ from synth.plant.generalized import Plant, check_continuous, check_inputs, real_
 from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
+FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 FeedbackDesign = DesignResult  # its public name
 
@@ -108,7 +110,7 @@ def design_feedback(
         >>> design_feedback(oscillator, Cy=[[0, 1]], order="full").law.states
         2
     """
-    for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, QUADRATIC)):
+    for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, FEEDBACK)):
         if value is not None and value not in allowed and not (name == "order" and is_order(value)):
             states = f", or a number of states from 0 to {MOST_STATES}" if name == "order" else ""
             raise InputError(f"{WHERE} {name} = {quoted(value)} is not known; known: {listing(allowed)}{states}")
@@ -201,7 +203,7 @@ def _rms(plant: Plant, noise: Sequence[float]) -> Array:
     """Returns the rms of each measurement's noise, shape (q,); empty without noise.
 
     Raises:
-        InputError: it does not fit the measurements.
+        InputError: the noise does not fit the measurements.
     """
     rms = real_matrix([list(noise)], "noise", "(q,)")[0]
     if len(noise) and (rms.shape != (len(plant.Cy),) or not np.all(rms >= 0)):

@@ -1,6 +1,6 @@
-"""The methods of design, by name, the choice between them, and `design`, which runs the choice.
+"""The choice between the methods of design, and `design`, which runs the choice.
 
-A method is a function in a file of its own, and a line in `METHODS`:
+A method is a function in a file of its own, and a line in `METHODS` of `models.laws.design_methods`:
 
     def method(problem: DesignProblem, progress: Progress) -> DesignResult
 
@@ -14,28 +14,12 @@ from importlib import import_module
 import numpy as np
 
 from models.common.errors import InputError, alike
+from models.laws.design_methods import METHODS
 from models.laws.law_structure import FULL
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
 Method = Callable[[DesignProblem, Progress], DesignResult]
-METHODS = {
-    "two_steps": "synth.design.two_step:two_steps",
-    "state": "synth.design.two_step:state",
-    "zero_l": "synth.design.two_step:zero_l",
-    "descent": "synth.design.fallback:descent",
-    "refinement": "synth.design.fallback:refinement",
-    "structured": "synth.design.fixed_order.fixed_order:structured",
-    "riccati": "synth.design.full_order.full_order:riccati",
-    "lqr": "synth.design.full_order.quadratic:quadratic",
-    "lqg": "synth.design.full_order.quadratic:quadratic",
-    "h2": "synth.design.full_order.quadratic:quadratic",
-    "preview": "synth.design.full_order.preview:preview",
-    "goals": "synth.design.multi_objective.two_step_starts:for_goals",
-    "sampled": "synth.design.sampled_data:sampled",
-    "sampled_full": "synth.design.full_order.sampled_data:sampled_full",
-    "sampled_structured": "synth.design.fixed_order.sampled_data:sampled_structured",
-}
 
 
 def method_of(name: str) -> Method:

@@ -14,15 +14,14 @@ from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.laws.law_structure import STATIC, LawStructure
 from models.laws.linear import LinearLaw, gain_text, states_text
-from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.stability import is_stable
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
+    from synth.analysis.sampled_loop import SampledDataProblem
     from synth.design.descent.landscape import Work
     from synth.design.multi_objective.problem import MultiObjectiveProblem
     from synth.lmi.central_path import CentralPoint
@@ -69,7 +68,7 @@ class WellPosedProblem:
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """What a controller is designed for. The plant contains the measurements, and noise on them that counts as a part of w.
+    """Problem of a controller's design. The plant contains the measurements, and noise on them that counts as a part of w.
 
     Attributes:
         plant: n states, m inputs, q measurements y = C_y x + Dyw w.
@@ -109,7 +108,7 @@ class DesignProblem:
     largest_gain: float = LARGEST_GAIN
     noise: Sequence[float] | None = None
     preview: float = 0.0
-    sampled: SampledDataProblem | None = None
+    sampled: "SampledDataProblem | None" = None
     sampled_bound: SampledBound | None = None
     ideal: Sequence[Array] = ()
     near: float = 1.0
@@ -134,7 +133,11 @@ class DesignProblem:
         Raises:
             ValueError, LinAlgError: a discrete law has no counterpart in continuous time.
         """
-        return certify_law(self.plant, law.continuous(), self.lower_bound) if self.certify is None else self.certify(law)
+        if self.certify is not None:
+            return self.certify(law)
+        from synth.analysis.bounding import certify_law
+
+        return certify_law(self.plant, law.continuous(), self.lower_bound)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -36,10 +36,9 @@ from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
-from synth.design.fallback import NOT_FROM_THESE
 from synth.design.problem import LARGEST_GAIN, SAMPLED_NORM, DesignProblem, DesignResult, Progress
 from synth.design.static import GainSearch, bounded_work
-from synth.design.two_step import NO_GAIN, independent_rows, no_gain, nullspace, output_feedback, state_path
+from synth.design.two_step import NO_GAIN, NOT_FROM_THESE, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.lmi.slack_variable import ENTERED, slack_path

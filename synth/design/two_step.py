@@ -1,13 +1,14 @@
 """The paper's two steps: a static output-feedback gain by two LMI problems, with its certificate (section 2).
 
-    x' = A x + B u + Bw w,   z = C x + D u  (15),   y = C_y x  (4),   u = K y  (5)
+    x' = A x + B u + Bw w,    z = C x + D u,    y = C_y x
 
-Step 1, the state feedback u = G_s x (1): maximise eta, subject to the LMI (24) and X > 0, which is (22), of the form (2). Step 2,
-the same for X and Y of the form (12), for which Y X^-1 = K C_y (8): problem (25), of the form (10), instead of (7), which is not
-convex. The optimum of either is the limit of its central path (`synth.lmi.central_path`), which no solver and no unit changes.
+Step 1 is state feedback u = G_s x: it maximises eta subject to an LMI in X and Y. Step 2 does the same for those X and Y that
+belong to a gain u = K y. The matrix L, from the X of step 1, makes step 2 convex. The optimum of either step is the limit of its
+central path (`synth.lmi.central_path`), which depends on no solver and on no unit.
 
-Below the formulas: measurements that follow from others, X from points before the limit where (25) has no solution from the
-limit, and plants in any units. Plants whose problem (22) has no optimum are in `synth.design.degenerate`.
+The functions in front of `well_posed` are the formulas. Behind them, a design chooses independent measurements, own units and,
+if step 2 has no solution from the limit, an X from a point before. Plants whose problem (22) has no optimum are in
+`synth.design.degenerate`.
 """
 
 import contextlib
@@ -31,26 +32,12 @@ from synth.plant.generalized import Feedback, Plant, check_inputs, check_states,
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
 
-MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
+MOST = 1100  # unknowns of step 1, 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
 
 
-def paper_design(plant: Plant) -> tuple[CentralPoint, CentralPoint, Certificate]:
-    """Returns state feedback, output feedback and its certificate, for a plant that needs none of what stands below.
-
-    Args:
-        plant: continuous plant in units of its own, whose C_y, shape (q, n), has full row rank; z sees every state.
-    """
-    Q = nullspace(plant.Cy)
-    step_1 = state_feedback(plant)[-1]
-    L = l_matrix(step_1.X, plant.Cy, Q)
-    step_2 = output_feedback(plant, L, Q)[-1]
-    u = Feedback(step_2.K, plant.Cy)  # u = K y (5) of y = C_y x (4): G = K C_y (6)
-    return step_1, step_2, certify(plant, u, step_2.X, step_2.eta)  # its norm is that of (27)
-
-
 def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns the central path of (22). Its last point has K = G_s = Y X^-1 (3), and gamma = eta^-1/2 (23) is the least norm.
+    """Returns the central path of (22). The K of its last point is the gain G_s of the least norm.
 
     Args:
         mu: path parameter, see `central_path`.
@@ -59,7 +46,9 @@ def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
         NoSolutionError: no state feedback moves every mode by more than rounding.
     """
     n = len(plant.A)
-    return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)  # (2): Y is any matrix, and u = G_s x (1)
+    # Of the form (2): max eta  subject to  F(X, Y, eta) < 0 (24),  X > 0.  (22)
+    # Then u = G_s x (1), with G_s = Y X^-1 (3), and the norm is eta^-1/2 (23).
+    return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
 
 
 def nullspace(Cy: Array) -> Array:
@@ -108,7 +97,10 @@ def output_feedback(plant: Plant, L: Array, Q: Array, mu: float = LIMIT) -> list
     """
     R = r_matrix(plant.Cy, Q, L)
     try:
-        return central_path(plant, Q, R, mu)  # (25), which is (10): h and F are (11) of X and Y by (12), K is (13), gamma (26)
+        # The problem (7) for all X and Y with Y X^-1 = K C_y (8) is not convex. With X = Q X_Q Q' + R X_R R', Y = Y_R R' (12) in
+        # eta and F (11) it becomes (10): max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R > 0.  (25)
+        # Then K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
+        return central_path(plant, Q, R, mu)
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
         raise NoSolutionError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error
@@ -142,6 +134,7 @@ def well_posed(plant: Plant) -> WellPosedProblem:
     return regularised(plant)
 
 
+NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NO_GAIN = "no static gain found"
 
 
@@ -211,6 +204,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     for i in reversed(range(len(path))):
         point = path[i]
         X = point.X if point.proof is None else point.proof
+        # y = C_y x (4), u = K y (5), G = K C_y (6); the norm of the certificate is that of (27), by two routes.
         certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
         if not certificate.failures:
             before = path[max(i - 1, 0)].K

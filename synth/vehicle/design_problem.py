@@ -3,25 +3,26 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import digits
-from models.laws.combinations import FULL, PREVIEW
+from models.laws.combinations import FULL
+from models.laws.design_methods import PREVIEW
 from models.laws.linear import LinearLaw, static_law
-from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
-from synth.controller.implementation_norm import held_problem
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
-from synth.design.full_order.quadratic import AT_ONCE, state_rows
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult
 from synth.plant.numerics import DesignError
+
+if TYPE_CHECKING:
+    from models.laws.preview import RoadPreview
 
 STATE_ALONE = (
     "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
@@ -57,10 +58,14 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     if entry.design and not by_force:
         problem = replace(problem, as_run=partial(on_readings, posed=posed))
     if entry.sampled:
+        from synth.controller.implementation_norm import held_problem
+
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
         near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
         return replace(problem, sampled=held_problem(vehicle, entry), near=near, states=states, certify=certify)
     if entry.design == PREVIEW:
+        from synth.design.full_order.quadratic import state_rows
+
         try:
             state_rows(problem.plant)
         except DesignError:
@@ -73,6 +78,8 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
 
 def certify_ideal_loop(posed: Problem, lower_bound: LowerBound) -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies the ideal loop of a law on the readings."""
+    from synth.analysis.bounding import certify_tightly
+
     return lambda law: certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
 
 
@@ -132,7 +139,10 @@ def controller_of(
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
     """Returns what a design for the least mean square minimises, in words."""
-    of_white_noise, at_once = "the rms of z if road velocity is white noise of intensity 1", AT_ONCE * np.any(problem.plant.Dw)
+    from synth.design.full_order.quadratic import AT_ONCE
+
+    at_once = AT_ONCE if np.any(problem.plant.Dw) else ""
+    of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
     if problem.design == PREVIEW:
         return (
             f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
@@ -145,11 +155,13 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
     return f"minimises the mean square of z: the H2 norm is {digits(result.h2_norm)}, {of_white_noise}{noise}{at_once}"
 
 
-def _on_roads(vehicle: Vehicle, ahead: RoadPreview) -> RoadPreview:
+def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
     """Returns a preview of the plant's disturbances as one of roads.
 
     A twist of the road, which acts by its height, is a disturbance beside its velocity (`generalized_plant`), and known too.
     """
+    from models.laws.preview import RoadPreview
+
     model = vehicle.linear_model
     r = len(model.disturbances)
     heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))

@@ -76,7 +76,7 @@ def robust_controller(
 
     Args:
         nominal: the controller designed for the norm; returned if no other is better.
-        problem: its design problem.
+        problem: design problem of the nominal controller.
         on_progress: callback that receives the robust performance so far, and True.
     """
     assert entry.errors is not None, "it has weights"

@@ -22,9 +22,9 @@ HEAVY = {
 LOADED = {
     "synth --json": (108, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
     "sim.bump --controller I --duration 0.5 --logs DIR": (142, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
-    "sim.bump --controller I --no-logs --json": (130, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (132, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (160, {"mujoco", "scipy.special"}),
+    "sim.bump --controller I --no-logs --json": (132, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (134, {"mujoco"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (162, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
         133,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},

@@ -165,6 +165,51 @@ def test_add_a_force_element(tmp_path):
     ], run.stderr
 
 
+def test_add_a_method_of_design(tmp_path):
+    """The recipe's file and line alone make a method: for a vehicle and any plant, with a certificate and its own poles."""
+    recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a method of design")
+    file, line = recipe.blocks("python")
+    for folder in ("models", "synth", "sim", "tests", "docs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    (tmp_path / "synth" / "design" / "shifted_h2.py").write_text(file, encoding="utf-8")
+    path = tmp_path / "models" / "laws" / "design_methods.py"
+    source = path.read_text(encoding="utf-8")
+    path.write_text(source.replace("METHODS = {", f"METHODS = {{\n{line}", 1), encoding="utf-8", newline="\n")
+    code = """if True:
+        from models import Bump, parse_vehicle, read_vehicle
+        from models.common.errors import InputError
+        from models.vehicle.file_schema import file_schema
+        from sim import run
+        from synth import Designer, design_feedback
+
+        text = read_vehicle("half_car").text + '\\n[controllers.own]\\ndesign = "shifted_h2"\\nmeasured = ["heave_velocity"]\\n'
+        designer = Designer(parse_vehicle(text))
+        own = designer.design("own")
+        print(own.certificate.failures, own.certificate.loop.A.shape, own.certificate.stability.growth.max() < -0.5)
+        (one,) = run(designer.vehicle, "own", Bump(height=0.05), duration=0.3)
+        print(one.passed)
+        plant = designer.problem(("heave_velocity",)).plant
+        print(abs(design_feedback(plant, design="shifted_h2").law.A - own.law.A).max() < 1e-9 * abs(own.law.A).max())
+        try:
+            parse_vehicle(text + "sampled = true")
+        except InputError as error:
+            print(error)
+        print(file_schema("half_car")["properties"]["controllers"]["additionalProperties"]["properties"]["design"]["enum"])
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True
+    )
+    assert run.stdout.splitlines() == [
+        "() (16, 16) True",
+        "True",
+        "True",
+        '[controllers.own] design = "shifted_h2" cannot be combined with sampled = true: a design for the sampled loop minimises '
+        'the norm; choose design = "shifted_h2" (works with anti_windup, noise, lag, control_force) or sampled = true (works with '
+        'the two-step design, order = "full", order = 2, structure = "pid")',
+        "['shifted_h2', 'lqr', 'lqg', 'h2', 'preview']",
+    ], run.stderr
+
+
 def test_recipes_name_what_there_is():
     """Every file that a recipe names is there, and every name of code stands in the code."""
     named = set(re.findall(r"`([\w./]+)`", page(".github/CONTRIBUTING.md")))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from synth.design.problem import DesignResult
 from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.central_path import CENTRED
 from synth.plant.generalized import GeneralizedPlant
@@ -111,7 +112,7 @@ def refuse_units(seed: int, times: int) -> None:
             assert here.certificate.speed_up == pytest.approx(there.certificate.speed_up, rel=1e-9), seed
 
 
-def _outcome(design) -> "Design | str":
+def _outcome(design) -> "DesignResult | str":
     try:
         return design()
     except InputError as error:

@@ -176,9 +176,8 @@ def test_where_the_two_steps_find_none_there_is_a_gain():
     assert found.method == "descent on the norm"
     assert "has no solution for the X of (22), but another gain may exist" in found.why
     assert "infeasible" not in repr(found)
-    assert design_for(DesignProblem(plant.measured(np.array([[1, -0.5]])), thorough=False)).gain == pytest.approx(
-        found.gain
-    )  # so of vehicles
+    of_vehicle = DesignProblem(plant.measured(np.array([[1, -0.5]])), thorough=False)
+    assert design_for(of_vehicle).gain == pytest.approx(found.gain)
 
 
 def test_of_equal_gains_the_smallest_is_taken():
@@ -245,7 +244,7 @@ def test_what_cannot_be_is_said_first(change, message, monkeypatch):
     parts = {name: getattr(OSCILLATOR, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     given: dict[str, Any] = {"Cy": CY, "Dyw": None} | change
     plant = GeneralizedPlant(**{**parts, **{name: value for name, value in given.items() if name in parts}})
-    for search in ("synth.design.fallback.two_step_design", "synth.design.static.descended"):
+    for search in ("synth.design.two_step.two_step_design", "synth.design.static.descended"):
         monkeypatch.setattr(search, lambda *given: pytest.fail("something is searched for"))
     with pytest.raises(InputError, match=message):
         design_feedback(plant, given["Cy"], given["Dyw"])

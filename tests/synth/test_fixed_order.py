@@ -23,6 +23,7 @@ from synth.design.feedback import design_feedback
 from synth.design.fixed_order.fixed_order import _Search, fixed_order_design
 from synth.design.fixed_order.pattern import structured_gain
 from synth.design.full_order.full_order import as_designed
+from synth.design.problem import DesignResult
 from synth.design.static import Candidate
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError

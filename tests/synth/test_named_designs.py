@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.laws.combinations import KINDS, PREVIEW, QUADRATIC, goes, refusal
+from models.laws.combinations import KINDS, goes, refusal
+from models.laws.design_methods import DESIGNS
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
@@ -186,7 +187,7 @@ def test_the_table_is_what_is_done(paper, one):
     """Two parts of a section are read where the table has them together, else refused in a line that names both and says why."""
     for other in [*SECTIONS][[*SECTIONS].index(one) + 1 :]:
         pair = {one, other}
-        if {*QUADRATIC, PREVIEW} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
+        if {*DESIGNS} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
             continue  # no section has both
         if "force" in pair and pair & {"lqr", "preview", "semi_active", "lag"}:
             continue  # these name no measurements, or have the force as a state

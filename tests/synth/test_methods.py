@@ -1,0 +1,133 @@
+"""One problem, one result, a table of methods: what reads as the paper, what runs for it, and what can be taken away."""
+
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from models.common.errors import InputError
+from models.laws.design_methods import BY_OTHER_KEYS, DESIGNS, METHODS
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.vehicle import read_vehicle, shipped
+from synth.design import degenerate
+from synth.design.methods import design, method_of
+from synth.design.problem import DesignProblem
+from synth.vehicle.designer import Designer
+from tests.support.commands import ROOT, in_the_suite
+from tests.support.sources import sources
+
+PAPER = {
+    *range(1, 15),
+    *range(22, 28),
+}  # equations of section 2 that a design consists of; (15) to (21) are the plant and its LMI
+MOST_FUNCTIONS = 220  # of the project, for one design of the paper: 207 before; 57 of them certify, 57 follow the central path
+
+
+def test_the_two_steps_read_as_the_paper():
+    """Each equation of the method stands at one line of code of `two_step.py`, in front of what is not of the paper."""
+    text = (ROOT / "synth/design/two_step.py").read_text(encoding="utf-8")
+    code = re.sub(r'"""[^"]*"""|"[^"\n]*"', "", text)
+    numbers = [int(number) for line in code.splitlines() if "#" in line for number in re.findall(r"\((\d+)\)", line)]
+    formulas = [number for number in numbers if number in PAPER]
+    assert sorted(formulas) == sorted(PAPER)
+
+
+def problem_of(name: str = "quarter_car", controller: str = "I") -> DesignProblem:
+    """The design problem of a controller of a vehicle that ships."""
+    designer = Designer(read_vehicle(name))
+    entry = designer.vehicle.linear_entry(controller)
+    posed = designer.problem(entry.measured, entry.hardware)
+    return designer.design_problem(entry, posed, designer.lower_bound(entry.measured, entry.hardware))
+
+
+def test_few_functions_design_the_paper_s_controller():
+    """From its problem to its result a design of the paper runs no more functions of the project than the ceiling."""
+    problem, called = replace(problem_of(), path=tuple), set()
+
+    def note(frame, event, argument):
+        code = frame.f_code
+        path = Path(code.co_filename)
+        if event == "call" and path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in ("models", "synth", "sim"):
+            called.add((code.co_filename, code.co_qualname))
+
+    sys.setprofile(note)
+    try:
+        result = design(problem)
+    finally:
+        sys.setprofile(None)
+    print(f"{len(called)} functions")
+    assert result.gain[0] == pytest.approx([10825.177, -2069.505], abs=1e-3)
+    assert len(called) <= MOST_FUNCTIONS
+
+
+def is_two_step(entry: ControllerEntry) -> bool:
+    """True for a controller of the two steps."""
+    return entry.linear and not entry.design and entry.law is None and entry.goals is None
+
+
+@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], shipped()))
+def test_no_shipped_car_is_degenerate(name, monkeypatch):
+    """The two steps of a vehicle that ships enter nothing that is for plants without an optimum."""
+    monkeypatch.setattr(degenerate, "regularised", None)
+    monkeypatch.setattr(degenerate, "check_marginal_modes", None)
+    vehicle = read_vehicle(name)
+    static = [name for name, one in vehicle.controllers.items() if is_two_step(one)]
+    for controller in static:
+        assert Designer(vehicle).design(controller).certificate.failures == ()
+
+
+def test_every_method_is_a_function_of_a_problem():
+    """Each line of the table names a function of a problem and a callback; a name that is none gives the nearest in one line."""
+    assert {*BY_OTHER_KEYS, *DESIGNS} == {*METHODS}
+    assert all(method_of(name).__code__.co_varnames[:2] == ("problem", "progress") for name in METHODS)
+    with pytest.raises(InputError, match="design method 'h_2' is not known; known are h2, "):
+        method_of("h_2")
+
+
+CHECK = """
+import importlib, pathlib, sys
+from models.laws.design_methods import METHODS
+assert not {*sys.argv[1:]} & {*METHODS}
+for folder in ("models", "synth", "sim"):
+    for path in sorted(pathlib.Path(folder).rglob("*.py")):
+        if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
+            importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
+from synth.__main__ import main
+sys.exit(main(["--controller", "I"]))
+"""
+
+
+def alone() -> dict[str, list[str]]:
+    """The files that only the table names, with the names of their methods."""
+    named: dict[str, list[str]] = {}
+    for name, where in METHODS.items():
+        named.setdefault(where.partition(":")[0], []).append(name)
+    imported = {f"{one}." for path, source in sources().items() if path != "synth/__init__.py" for one in source.imported}
+    return {module: names for module, names in named.items() if not any(one.startswith(f"{module}.") for one in imported)}
+
+
+@pytest.mark.parametrize("module", in_the_suite([*alone()][:1], alone()))
+def test_all_else_works_without_a_method(module, tmp_path):
+    """In a copy without a method's file and lines every module is imported, and the paper's controller is designed."""
+    for folder in ("models", "synth", "sim"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / f"{module.replace('.', '/')}.py").unlink()
+    table = tmp_path / "models" / "laws" / "design_methods.py"
+    text = table.read_text(encoding="utf-8")
+    for name in alone()[module]:
+        text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", text)
+        assert count == 1
+    table.write_text(text, encoding="utf-8")
+    arguments = [sys.executable, "-c", CHECK, *alone()[module]]
+    done = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "7.843188" in done.stdout
+
+
+def test_methods_are_named_by_their_table():
+    """At least these files are named by nothing but the table, and can be taken away."""
+    assert {name for names in alone().values() for name in names} >= {"descent", "refinement", "sampled_structured", "preview"}
