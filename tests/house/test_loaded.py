@@ -20,11 +20,11 @@ HEAVY = {
 # Of each command: how many of our modules it may load, packages among them, and what of the above.
 # `sim.runs.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel with `rigid_body`.
 LOADED = {
-    "synth --json": (108, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
-    "sim.bump --controller I --duration 0.5 --logs DIR": (142, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
-    "sim.bump --controller I --no-logs --json": (132, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (134, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (162, {"mujoco", "scipy.special"}),
+    "synth --json": (112, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
+    "sim.bump --controller I --duration 0.5 --logs DIR": (145, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
+    "sim.bump --controller I --no-logs --json": (133, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (135, {"mujoco"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (163, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
         133,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},

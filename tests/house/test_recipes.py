@@ -204,8 +204,8 @@ def test_add_a_method_of_design(tmp_path):
         "True",
         "True",
         '[controllers.own] design = "shifted_h2" cannot be combined with sampled = true: a design for the sampled loop minimises '
-        'the norm; choose design = "shifted_h2" (works with anti_windup, noise, lag, control_force) or sampled = true (works with '
-        'the two-step design, order = "full", order = 2, structure = "pid")',
+        'the norm; choose design = "shifted_h2" (works with anti_windup, noise, lag, control_force) or sampled = true (works '
+        'with the two-step design, order = "full", order = 2, structure = "pid")',
         "['shifted_h2', 'lqr', 'lqg', 'h2', 'preview']",
     ], run.stderr
 

@@ -23,7 +23,7 @@ from tests.support.sources import sources
 PAPER = {
     *range(1, 15),
     *range(22, 28),
-}  # equations of section 2 that a design consists of; (15) to (21) are the plant and its LMI
+}  # equations of section 2 that a design consists of; the others are of plant, norm and LMI
 MOST_FUNCTIONS = 220  # of the project, for one design of the paper: 207 before; 57 of them certify, 57 follow the central path
 
 
