@@ -92,8 +92,8 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     left, right = (_enclosed(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
-        others.append(limit_at_infinity(plant))
         turned = plant.transposed
+        others.append(limit_at_infinity(plant))
         others += [limit_at(turned, zero.imag) for zero in near[1] if zero.real == 0]
     return max(_limit(left, right), *others)
 

@@ -126,20 +126,25 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
 
 
 def limit_at_infinity(plant: Plant) -> float:
-    """Returns a proved norm of Dw on the disturbances that y = C_y x + Dyw w does not feel at once; 0 if it feels all.
+    """Returns a proved norm of Dw that no proper controller of y = C_y x + Dyw w changes as omega grows; 0 if none is proved.
 
-    As omega grows, no controller of y changes the response to them.
+    It is that on the disturbances that y does not feel at once, or that of the outputs that no control force moves at once.
     """
-    silent = Nullspace(integers(plant.Dyw.T)[0])
-    if not silent.free or not plant.Dw.any():
+    return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
+
+
+def _limit_beside(K: Array, direct: Array) -> float:
+    """Returns a proved norm of a matrix on the v with K' v = 0; 0 if there are none."""
+    silent = Nullspace(integers(K)[0])
+    if not silent.free or not direct.any():
         return 0.0
     basis, over = without_factors(silent.complete(identity(len(silent.free))))
     free = floats(basis, Fraction(1, over))
-    v = silent.complete(integers((_strongest(free.T, free.T @ plant.Dw.T))[:, None])[0])
-    direct, unit = integers(plant.Dw)
+    v = silent.complete(integers((_strongest(free.T, free.T @ direct.T))[:, None])[0])
+    whole, unit = integers(direct)
     with contextlib.suppress(OverflowError):
         own = int(np.sum(v**2))
-        return root_below(Fraction(int(np.sum(product(direct, v) ** 2)), unit**2 * own)) if own else 0.0
+        return root_below(Fraction(int(np.sum(product(whole, v) ** 2)), unit**2 * own)) if own else 0.0
     return 0.0
 
 

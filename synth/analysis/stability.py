@@ -322,21 +322,24 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Returns reasons why no static output feedback stabilises a controllable and observable plant; empty if none is known.
+    """Returns reasons why no static output feedback stabilises a stabilisable and detectable plant; empty if none is known.
 
     A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). For a discrete plant the same
-    holds for its differences, in which z = 1 is 0.
+    holds for its differences, in which z = 1 is 0. Poles that no gain moves decay and are not part of the sum, as those of a
+    filter in a weight.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
         return []
     A, B = plant.differences.A, plant.differences.B
     diagonal, mode = np.diagonal(A), pole_text(where.worst, plant.dt)
-    stays = f"{rough(diagonal.sum())} 1/s" if plant.dt is None else f"{rough(np.trace(plant.A))} (of {len(A)} poles)"
-    if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
+    fixed = _fixed_poles(A, B, Cy) if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) else None
+    if fixed is not None and (total := diagonal.sum() - sum(fixed)) >= -ZERO * np.abs(diagonal).sum():
+        count, some = len(A) - len(fixed), "the poles that a gain moves" if fixed else "all poles"
+        stays = f"{rough(total)} 1/s" if plant.dt is None else f"{rough(count + plant.dt * total)} (of {count} poles)"
         return [
             f"no static gain on these measurements stabilises the plant, whose mode at {mode} does not decay: no force acts "
-            f"directly on the rate of a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure a velocity"
+            f"directly on the rate of a measured signal (C_y B = 0), so the sum of {some} stays {stays}; measure a velocity"
         ]
     if np.linalg.cond(balance(A)[0]) * ZERO > 1:
         return []
@@ -349,6 +352,22 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
             f"leaves all measurements zero (C_y {inverted}^-1 B = 0), so one pole stays real and {above}; measure a position"
         ]
     return []
+
+
+def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
+    """Returns the real parts of simple poles that no gain moves, as no input reaches them or no measurement contains them."""
+    balanced, scale = balance(A)
+    inputs, outputs, size, fixed = B / scale[:, None], Cy * scale, np.linalg.norm(balanced, 2) or 1.0, list[float]()
+    inputs = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny) * size
+    outputs = outputs / np.maximum(np.linalg.norm(outputs, axis=1, keepdims=True), np.finfo(float).tiny) * size
+    poles = np.linalg.eigvals(balanced)
+    for i, pole in enumerate(poles):
+        shifted = balanced - pole * np.eye(len(A))
+        simple = np.all(np.abs(np.delete(poles, i) - pole) > 1e-6 * size)
+        pencils = np.hstack([shifted, inputs]), np.vstack([shifted, outputs])
+        if simple and min(np.linalg.svd(one, compute_uv=False)[-1] for one in pencils) <= UNREACHED * size:
+            fixed.append(float(pole.real))
+    return fixed
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:

@@ -130,13 +130,15 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
 
 
 def _unfelt(plant: Plant, dual: Plant) -> LowerBound:
-    """Returns the bound from disturbances that q measurements do not feel at rest, or at infinity; 0 if the plant is discrete.
+    """Returns the bound from what q measurements do not feel at rest, or at infinity, and from what no force moves at infinity.
+
+    It is 0 if the plant is discrete.
 
     Floats cannot represent other zeros on the axis, and zeros next to the axis bound nothing.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
-    at_rest, at_infinity = limit_at(dual, 0.0), limit_at_infinity(plant) if plant.Dw.any() else 0.0
+    at_rest, at_infinity = limit_at(dual, 0.0), limit_at_infinity(plant)
     if max(at_rest, at_infinity) == 0:
         return LowerBound(0.0)
     return LowerBound(max(at_rest, at_infinity), zeros=((), (0j,) if at_rest > at_infinity else ()))

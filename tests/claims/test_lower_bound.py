@@ -1,14 +1,16 @@
 """Lower bounds: proved by numpy, below every controller, close to the best one."""
 
+from dataclasses import replace
 from fractions import Fraction
 
+import control
 import numpy as np
 import pytest
 from scipy import linalg
 
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.interpolation import limit_at_zeros
-from synth.analysis.invariant_point import invariant_limit, limit_at
+from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
 from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import span_all
@@ -181,6 +183,23 @@ def test_what_no_measurement_feels(name):
     assert limit_at_zeros(plant.measured(Cy), found.zeros) == found.gamma
     noise = np.full((len(Cy), 1), 1e-3)
     assert find_lower_bound(plant, Cy, Dyw=noise).gamma < found.gamma * (1 - 1e-3)  # felt now
+
+
+def test_what_no_force_moves_at_once():
+    """Mixed sensitivity without a weight on the force: at infinite frequency the norm is that of the weight, 2/3.
+
+    An output that a force moves at once takes nothing from it, and a force that moves all outputs leaves no bound.
+    """
+    G, W = control.ss(control.tf([1, 1], [1, 0.5, 4])), control.ss(control.tf([2, -2.2, 1], [3, 0.2, 0.01]))
+    A, Bw = np.block([[G.A, np.zeros((2, 2))], [-W.B @ G.C, W.A]]), np.vstack([np.zeros((2, 1)), W.B])
+    C, Cy, one = np.hstack([-W.D @ G.C, W.C]), np.hstack([-G.C, np.zeros((1, 2))]), np.ones((1, 1))
+    plant = GeneralizedPlant(A, np.vstack([G.B, np.zeros((2, 1))]), Bw, C, 0 * one, W.D).measured(Cy, one)
+    found = find_lower_bound(plant)
+    assert found.gamma == pytest.approx(2 / 3, rel=1e-14)
+    assert limit_at_zeros(plant, found.zeros) == found.gamma
+    also = replace(plant, C=np.vstack([C, 0 * C]), D=np.array([[0.0], [1.0]]), Dw=np.vstack([W.D, 5 * one]))
+    assert limit_at_infinity(also) == pytest.approx(2 / 3, rel=1e-14)
+    assert find_lower_bound(replace(plant, D=one)).gamma < 0.66
 
 
 CANCELLED = [(0.3, -0.7, 1.0), (-0.04746341883039531, -1.0474634188303953, 0.1), (-1.1812498740229496, -2.1812498740229493, 0.1)]

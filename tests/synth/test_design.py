@@ -188,6 +188,7 @@ NO_DESIGN = (  # A, B, C_y, the period, and why
     ([[-1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = -1, which does not decay"),
     ([[1, 0], [0, 0.5]], [[0], [1]], [[1, 1]], 0.1, "no input acts on the mode at z = 1, which does not decay"),
     ([[1.2, 0], [0, 0.5]], [[1], [1]], [[0, 1]], 0.1, "none of them contains the mode at z = 1.2, which does not decay"),
+    ([[0, 1, 0], [0, 0, 0], [0, 0, -100]], [[0], [1], [1]], [[1, 0, 0]], None, "sum of the poles that a gain moves stays 0 1/s"),
     ([[1.5, 1], [0, 0.8]], [[0], [1]], [[1, 0]], 0.1, r"C_y B = 0\), so the sum of all poles stays 2.3 \(of 2 poles\)"),
 )
 
