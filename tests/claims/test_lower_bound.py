@@ -199,7 +199,7 @@ def test_what_no_force_moves_at_once():
     assert limit_at_zeros(plant, found.zeros) == found.gamma
     also = replace(plant, C=np.vstack([C, 0 * C]), D=np.array([[0.0], [1.0]]), Dw=np.vstack([W.D, 5 * one]))
     assert limit_at_infinity(also) == pytest.approx(2 / 3, rel=1e-14)
-    assert find_lower_bound(replace(plant, D=one)).gamma < 0.66
+    assert limit_at_infinity(replace(plant, D=one)) == 0
 
 
 CANCELLED = [(0.3, -0.7, 1.0), (-0.04746341883039531, -1.0474634188303953, 0.1), (-1.1812498740229496, -2.1812498740229493, 0.1)]
