@@ -1,15 +1,13 @@
 """Static output-feedback design by multi-start descent on the H-infinity norm.
 
 The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
-guarantee a global optimum, because the problem is not convex. Three measures reduce the risk of a poor local minimum:
+guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
 
 - Many starts (`descent/starts.py`): samples of every size, stabilising gains if few samples are stable, and the refined result of
   the paper's two steps. After each heat of short descents, the search drops those that lag behind without progress, and
   duplicates of a minimum.
 - Good coordinates (`descent/coordinates.py`): descents begin in those of the landscape and continue in those in which all
   directions have similar effect. The last one (`descent/minimax.py`) uses edges and curvature.
-- A fair bound on the gain (`descent/symmetry.py`): among all gains with the same loop, the bound applies to the smallest. If a
-  search ends at the bound, others begin within narrower ones.
 
 Finally, the search follows the best candidate to convergence and starts further descents near it. A result is never replaced by a
 worse one, so the norm is at most that of the refined two steps. If several gains have the same norm, the search returns the
@@ -18,7 +16,7 @@ smallest multiple. All samples have fixed seeds, so the same plant always gives 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,7 +34,6 @@ from synth.design.descent.landscape import Landscape, Work, price
 from synth.design.descent.minimax import along_edges, quasi_newton
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
-from synth.design.descent.symmetry import Symmetry
 from synth.design.two_step import LARGEST_GAIN, Design, no_gain, two_step_design
 from synth.lmi.output_feedback import independent_rows
 from synth.plant.generalized import Plant, check_inputs, on_all_rows
@@ -56,14 +53,11 @@ MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, 
 CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
 WORTH = 3e-4  # relative; what a turn of further descents must gain for another
 LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
-IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
-SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
+SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
 EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
 SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
 MISSED = 3  # until so many in a row have another,
 HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
-AT_LIMIT = 0.5  # of the limit; an entry this large was stopped by it
-NARROWER = (0.1, 0.01)  # of the limit, for searches that begin where the first one did not end
 LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
 
 
@@ -181,19 +175,11 @@ def descended(
     if not candidates:
         tried = f"descent on the norm from {MOST} starts{f', {work.text}' if work.over else ''}"
         raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
-    best = search.widened(search.best(candidates))
+    best = search.best(candidates)
     K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_law(plant, static_law(K), lower_bound)
     return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
-
-
-class Alike(Protocol):
-    """The gains that make the loop of a gain, too."""
-
-    def smallest(self, x: Array) -> Array:
-        """Returns the point with the smallest entries that is alike to a point, or the point itself, shape (N,)."""
-        ...
 
 
 class GainSearch:
@@ -205,7 +191,7 @@ class GainSearch:
         largest_gain: float,
         beaten_by_none: float,
         structure: Array | None = None,
-        alike: Callable[[Landscape], Alike] = Symmetry,
+        alike: Callable[[Landscape, Array], Array] = lambda landscape, x: x,
         enough: float = REACHED,
         rival: float = np.inf,
         work: Work | None = None,
@@ -214,7 +200,7 @@ class GainSearch:
         largest_gain: bound on |K_ij|, in the units given.
         beaten_by_none: lower bound for controllers of this kind; 0 for none.
         structure: argument of `Landscape`.
-        alike: returns the gains that make the same loop.
+        alike: returns the point whose entries count for the limit, among the points of gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
         rival: argument of `static_output_feedback`.
         work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
@@ -222,7 +208,7 @@ class GainSearch:
         self.plant, self.beaten_by_none, self.enough, self.rival = plant, beaten_by_none, enough, rival
         self.landscape = Landscape(plant, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
-        self.symmetry = alike(self.landscape)
+        self.alike = alike
         own = self.landscape.plant
         self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
 
@@ -258,7 +244,7 @@ class GainSearch:
 
     def admitted(self, x: Array, origin: str) -> list[Candidate]:
         """A candidate, if the point is stable within the limit."""
-        x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
+        x = np.clip(self.alike(self.landscape, x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
@@ -308,11 +294,10 @@ class GainSearch:
         large, winner = len(self.plant.A) > LARGE, self.raced(candidates)
         if self.reached(winner) or winner.norm > self.rival * BEHIND[-1]:
             return winner
-        best, idle = self.followed(winner), 0
+        best = self.followed(winner)
         if large or best.norm > self.rival * BEHIND[-1]:
             return best
-        enough = 1 if self.reached(best, CLOSE) else IDLE
-        for number, factor in enumerate(SURROUNDINGS):
+        for number, factor in enumerate(SURROUNDINGS[: 1 if self.reached(best, CLOSE) else None]):
             near = around(self.landscape, best.x, self.limit, factor, number)
             if near is None:
                 continue
@@ -320,29 +305,12 @@ class GainSearch:
             reached = self.step(start, self.plain if number % 2 else self.whitened, 60)
             if reached.norm < best.norm * (1 + 10 * SAME):
                 reached = self.step(reached, self.edges, 60)
-            idle += 1
             if reached.norm < best.norm * (1 - SAME):
-                reached, idle = self.followed(reached), 0
+                reached = self.followed(reached)
             best = min(best, reached, key=lambda each: each.norm)
-            if self.reached(best) or idle == enough or self.landscape.work.over:
+            if self.reached(best) or self.landscape.work.over:
                 break
         return self.step(best, self.edges, 150)
-
-    def widened(self, best: Candidate) -> Candidate:
-        """The best of a candidate and, where it is at the limit, of searches that begin within narrower limits.
-
-        Descents that fall towards infinite gains end at the limit, and see no other valley.
-        """
-        whole, ends = self.limit, [best]
-        if self.reached(best) or not np.any(np.abs(best.x) > AT_LIMIT * whole) or len(self.plant.A) > LARGE:
-            return best
-        for share in NARROWER:
-            self.limit = share * whole
-            inside = self.starts(FEW)
-            raced = [self.raced(inside)] if inside else []
-            self.limit = whole
-            ends += [self.followed(each) for each in raced]
-        return min(ends, key=lambda each: each.norm)
 
     def followed(self, candidate: Candidate) -> Candidate:
         """A candidate after descents of both types alternately, as many as gain something: some valleys are long."""

@@ -28,7 +28,7 @@ from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures
 from synth.design.descent.landscape import Work
-from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
+from synth.design.fixed_order.pattern import StructuredGain, gains_on_filters, in_equal_units, structured_gain
 from synth.design.fixed_order.reduction import reductions
 from synth.design.full_order.full_order import DEADBEAT, as_designed, discrete_law, full_order_design
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
@@ -343,7 +343,7 @@ class _Search:
             1.0,
             self.below.gamma,
             posed.free,
-            partial(LawUnits, states=states),
+            partial(in_equal_units, states=states),
             WITHIN,
             work=self.work,
         )
