@@ -31,7 +31,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape, Work, price
-from synth.design.descent.minimax import along_edges, quasi_newton
+from synth.design.descent.minimax import descend_norm, quasi_newton
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.two_step import LARGEST_GAIN, Design, no_gain, two_step_design
@@ -355,7 +355,7 @@ class GainSearch:
 
     def edges(self, x: Array, rounds: int) -> Array:
         """A descent that knows edges and curvature."""
-        return along_edges(self.landscape, x, self.limit, rounds)[0]
+        return descend_norm(self.landscape, x, self.limit, rounds)[0]
 
     def plain(self, x: Array, rounds: int) -> Array:
         """A quick descent in the landscape's coordinates."""

@@ -6,7 +6,7 @@ import pytest
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges
+from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
 from synth.design.fixed_order.pattern import in_equal_units
 from synth.design.static import static_output_feedback
@@ -130,12 +130,12 @@ def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
     plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     landscape = Landscape(plant.measured(np.eye(2)))
     x, limit = np.zeros(2), np.full(2, 1e3)
-    reached, norm = along_edges(landscape, x, limit, 30)
+    reached, norm = descend_norm(landscape, x, limit, 30)
     assert norm < landscape.norm(x)[0]
     monkeypatch.setattr(
         Landscape, "heights", lambda self, x, cuts: (np.full(len(cuts.omega), -9.0), np.zeros((len(cuts.omega), 2)))
     )
-    assert np.array_equal(along_edges(landscape, reached, limit, 30)[0], reached)
+    assert np.array_equal(descend_norm(landscape, reached, limit, 30)[0], reached)
 
 
 def test_gains_that_leave_floats_are_not_stable():
