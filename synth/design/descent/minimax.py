@@ -244,7 +244,7 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
             M, before = balanced_coordinates(landscape, x), norm
             x, there = descend(minimax, x, M, min(STAGE, rounds - done), enough=enough, flat=ENDED)
             norm = there.goal
-            if enough < norm <= before * (1 - WORTH_A_STAGE):
+            if enough < norm <= before * (1 - WORTH_A_STAGE) and not landscape.work.over:
                 continue
         break
     return x, norm

@@ -35,7 +35,7 @@ from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
-from synth.design.static import MOST, Candidate, GainSearch, bounded_work
+from synth.design.static import CONVERGED, MOST, Candidate, GainSearch, bounded_work
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.discrete import mapped
 from synth.plant.generalized import Plant, check_inputs, check_posed
@@ -402,7 +402,7 @@ class _Search:
         """
         for wider in WIDER:
             search = self.of(posed, states, wider * limit)
-            moved = search.followed(best)
+            moved = search.step(best, CONVERGED)
             law, certificate = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)))
             lower = moved.norm < best.norm * (1 - WITHIN) and not certificate.failures and certificate.speed_up <= self.most
             if lower and not (self.stable and self.as_run(law).growth):
