@@ -100,7 +100,7 @@ def searched(problem: SampledDataProblem, level: float, known: Array | None, wor
         candidates += search.admitted(search.landscape.point(known), "a known gain")
     if not candidates:
         return np.zeros(search.landscape.shape), np.inf
-    K = search.landscape.gain(search.widened(search.best(candidates)).x)
+    K = search.landscape.gain(search.best(candidates).x)
     norm = norm_of(problem, K, level)
     return down(problem, K, norm, work) if np.isfinite(norm) else (K, norm)
 

@@ -1,24 +1,22 @@
 """Static output-feedback design by multi-start descent on the H-infinity norm.
 
 The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
-guarantee a global optimum, because the problem is not convex. Three measures reduce the risk of a poor local minimum:
+guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
 
-- Many starts (`descent/starts.py`): samples of every size, stabilising gains if few samples are stable, and the refined result of
-  the paper's two steps. After each heat of short descents, the search drops those that lag behind without progress, and
-  duplicates of a minimum.
-- Good coordinates (`descent/coordinates.py`): descents begin in those of the landscape and continue in those in which all
-  directions have similar effect. The last one (`descent/minimax.py`) uses edges and curvature.
-- A fair bound on the gain (`descent/symmetry.py`): among all gains with the same loop, the bound applies to the smallest. If a
-  search ends at the bound, others begin within narrower ones.
+- Many starts (`descent/starts.py`): no control, samples of every size, stabilising gains if few samples are stable, and the
+  refined result of the paper's two steps. All of them descend for a few rounds, the best of these for more rounds, and the best
+  of all until it converges. The descent (`descent/minimax.py`) uses edges and curvature, in coordinates in which all directions
+  have similar effect.
+- Further descents from the surroundings of the best.
 
-Finally, the search follows the best candidate to convergence and starts further descents near it. A result is never replaced by a
-worse one, so the norm is at most that of the refined two steps. If several gains have the same norm, the search returns the
-smallest multiple. All samples have fixed seeds, so the same plant always gives the same gain.
+A result is never replaced by a worse one, so the norm is at most that of the refined two steps, and that without control. If
+several gains have the same norm, the search returns the smallest multiple. All samples have fixed seeds, so the same plant always
+gives the same gain.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,12 +29,10 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
-from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape, Work, price
-from synth.design.descent.minimax import along_edges, quasi_newton
+from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
-from synth.design.descent.symmetry import Symmetry
 from synth.design.problem import LARGEST_GAIN, DesignResult
 from synth.design.two_step import independent_rows, no_gain, two_step_design
 from synth.plant.generalized import Plant, check_inputs, on_all_rows
@@ -46,24 +42,20 @@ from synth.plant.units import size
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
-BEHIND = (1.1, 1.1, 1.03, 1.03, 1.03)  # times a rival's norm: what is above after a heat is polished and left
-AGAINST = 3  # candidates that start against a rival
-ENTERED = 8  # candidates whose descents begin at so many states; with more there are fewer, so that all cost the same
+ALL = 100
+HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03))  # rounds, number of starts, and times a rival's norm where the search ends
+CONVERGED = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
+AGAINST = 3  # starts against a rival
+ENTERED = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
-MOVING = 0.5  # of its norm; what falls below it in a heat is still on its way, and stays in the race whatever its rank
-CLOSE = 1e-2  # relative; this close to what no controller beats, little is left to look for
-WORTH = 3e-4  # relative; what a turn of further descents must gain for another
-LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
-IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
-SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
+SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
+AROUND = 60  # rounds of each of these descents
 EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
 SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
 MISSED = 3  # until so many in a row have another,
 HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
-AT_LIMIT = 0.5  # of the limit; an entry this large was stopped by it
-NARROWER = (0.1, 0.01)  # of the limit, for searches that begin where the first one did not end
 LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
 
 
@@ -96,9 +88,6 @@ class Candidate(NamedTuple):
     x: Array
     norm: float
     origin: str
-
-
-Descent = Callable[[Array, int], Array]
 
 
 def bounded_work(plant: Plant) -> Work:
@@ -181,19 +170,11 @@ def descended(
     if not candidates:
         tried = f"descent on the norm from {MOST} starts{f', {work.text}' if work.over else ''}"
         raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
-    best = search.widened(search.best(candidates))
+    best = search.best(candidates)
     K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
     certificate = certify_law(plant, static_law(K), lower_bound)
     return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
-
-
-class Alike(Protocol):
-    """The gains that make the loop of a gain, too."""
-
-    def smallest(self, x: Array) -> Array:
-        """Returns the point with the smallest entries that is alike to a point, or the point itself, shape (N,)."""
-        ...
 
 
 class GainSearch:
@@ -205,7 +186,7 @@ class GainSearch:
         largest_gain: float,
         beaten_by_none: float,
         structure: Array | None = None,
-        alike: Callable[[Landscape], Alike] = Symmetry,
+        alike: Callable[[Landscape, Array], Array] = lambda landscape, x: x,
         enough: float = REACHED,
         rival: float = np.inf,
         work: Work | None = None,
@@ -214,21 +195,22 @@ class GainSearch:
         largest_gain: bound on |K_ij|, in the units given.
         beaten_by_none: lower bound for controllers of this kind; 0 for none.
         structure: argument of `Landscape`.
-        alike: returns the gains that make the same loop.
+        alike: returns the point whose entries count for the limit, among the points of gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
         rival: argument of `static_output_feedback`.
         work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
         """
-        self.plant, self.beaten_by_none, self.enough, self.rival = plant, beaten_by_none, enough, rival
+        self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
-        self.symmetry = alike(self.landscape)
+        self.alike = alike
         own = self.landscape.plant
         self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
+        self.enough = max(beaten_by_none * (1 + enough), self.nothing)
 
     def refined(self, two_steps: DesignResult) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""
-        if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * BEHIND[0]:
+        if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * HEATS[0][2]:
             return self.admitted(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, None, two_steps.gain).gain
@@ -258,7 +240,7 @@ class GainSearch:
 
     def admitted(self, x: Array, origin: str) -> list[Candidate]:
         """A candidate, if the point is stable within the limit."""
-        x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
+        x = np.clip(self.alike(self.landscape, x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
@@ -288,124 +270,46 @@ class GainSearch:
         return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
     def raced(self, candidates: list[Candidate]) -> Candidate:
-        """The winner of all heats."""
-        n = len(self.plant.A)
-        if n > LARGE:
-            candidates = sorted(candidates, key=lambda each: each.norm)[: max(1, int(ENTERED * (LARGE / n) ** 3))]
-        heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
-        if np.isfinite(self.rival):
-            candidates = sorted(candidates, key=lambda each: each.norm)[:AGAINST]
-        for (descent, rounds, keep), behind in zip(heats, BEHIND, strict=True):
-            candidates = self.heat(candidates, descent, rounds, keep)
-            if self.reached(candidates[0]):
+        """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
+        n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
+        few = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
+        for rounds, count, behind in HEATS:
+            ends = list[Candidate]()
+            for each in best[: min(count, few)]:
+                ends.append(self.step(each, rounds))
+                if self.reached(ends[-1]):
+                    return ends[-1]
+            ends.sort(key=lambda each: each.norm)
+            best = [end for end, last in zip(ends, [None, *ends], strict=False) if not last or end.norm > last.norm * (1 + SAME)]
+            if best[0].norm > self.rival * behind:
                 break
-            if candidates[0].norm > self.rival * behind:
-                return self.step(candidates[0], self.edges, 60)
-        return candidates[0]
+        return best[0]
 
     def best(self, candidates: list[Candidate]) -> Candidate:
-        """The winner of all heats, and of the descents from its surroundings."""
-        large, winner = len(self.plant.A) > LARGE, self.raced(candidates)
-        if self.reached(winner) or winner.norm > self.rival * BEHIND[-1]:
-            return winner
-        best, idle = self.followed(winner), 0
-        if large or best.norm > self.rival * BEHIND[-1]:
+        """Returns the best end of the descents from the candidates, and from the surroundings of the best."""
+        n, best = len(self.plant.A), self.raced(candidates)
+        if best.norm > self.rival * HEATS[-1][2]:
             return best
-        enough = 1 if self.reached(best, CLOSE) else IDLE
-        for number, factor in enumerate(SURROUNDINGS):
+        best = self.step(best, converged := int(CONVERGED * min(1.0, (LARGE / n) ** 2)))
+        for number, factor in enumerate(SURROUNDINGS if n <= LARGE else ()):
+            if self.reached(best) or self.landscape.work.over or best.norm > self.rival * HEATS[-1][2]:
+                break
             near = around(self.landscape, best.x, self.limit, factor, number)
-            if near is None:
-                continue
-            start = Candidate(near, self.landscape.norm(near)[0], best.origin)
-            reached = self.step(start, self.plain if number % 2 else self.whitened, 60)
-            if reached.norm < best.norm * (1 + 10 * SAME):
-                reached = self.step(reached, self.edges, 60)
-            idle += 1
-            if reached.norm < best.norm * (1 - SAME):
-                reached, idle = self.followed(reached), 0
-            best = min(best, reached, key=lambda each: each.norm)
-            if self.reached(best) or idle == enough or self.landscape.work.over:
-                break
-        return self.step(best, self.edges, 150)
+            if near is not None:
+                end = self.step(Candidate(near, self.landscape.norm(near)[0], best.origin), AROUND)
+                best = self.step(end, converged) if end.norm < best.norm * (1 - SAME) else best
+        return best
 
-    def widened(self, best: Candidate) -> Candidate:
-        """The best of a candidate and, where it is at the limit, of searches that begin within narrower limits.
-
-        Descents that fall towards infinite gains end at the limit, and see no other valley.
-        """
-        whole, ends = self.limit, [best]
-        if self.reached(best) or not np.any(np.abs(best.x) > AT_LIMIT * whole) or len(self.plant.A) > LARGE:
-            return best
-        for share in NARROWER:
-            self.limit = share * whole
-            inside = self.starts(FEW)
-            raced = [self.raced(inside)] if inside else []
-            self.limit = whole
-            ends += [self.followed(each) for each in raced]
-        return min(ends, key=lambda each: each.norm)
-
-    def followed(self, candidate: Candidate) -> Candidate:
-        """A candidate after descents of both types alternately, as many as gain something: some valleys are long."""
-        quick = True
-        for _ in range(max(1, int(LONGEST * min(1.0, (LARGE / len(self.plant.A)) ** 2)))):
-            before = candidate.norm
-            if quick:
-                candidate = self.step(candidate, self.whitened, 100)
-                quick = candidate.norm < before * (1 - WORTH)  # it stalls on an edge, and on each that follows
-            candidate = self.step(candidate, self.edges, 60)
-            if self.reached(candidate) or candidate.norm > before * (1 - WORTH):
-                break
-        return candidate
-
-    def heat(self, candidates: Sequence[Candidate], descent: Descent, rounds: int, keep: int) -> list[Candidate]:
-        """The best of the candidates after a descent each, and those still on their way; no two at the same minimum."""
-        after: list[tuple[Candidate, bool]] = []
-        for each in sorted(candidates, key=lambda each: each.norm):
-            moved = self.step(each, descent, rounds)
-            if self.reached(moved):
-                return [moved]
-            after.append((moved, moved.norm < MOVING * each.norm))
-        left: list[Candidate] = []
-        for each, moving in sorted(after, key=lambda pair: pair[0].norm):
-            apart = not left or each.norm > left[-1].norm * (1 + SAME)
-            if apart and (moving or len(left) < keep):
-                left.append(each)
-        return left
-
-    def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
+    def step(self, candidate: Candidate, rounds: int) -> Candidate:
         """Returns a candidate after a descent, or the candidate itself if the norm did not decrease."""
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
         with up_to_rounding():  # of a loop on the border of stability
-            moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
+            x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
+            moved = self.admitted(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)
 
-    def reached(self, candidate: Candidate, to: float = 0.0) -> bool:
-        """Returns True if a candidate is this close to the lower bound, or close enough, or next to zero."""
-        return candidate.norm <= max(self.beaten_by_none * (1 + max(to, self.enough)), self.nothing)
-
-    def edges(self, x: Array, rounds: int) -> Array:
-        """A descent that knows edges and curvature."""
-        return along_edges(self.landscape, x, self.limit, rounds)[0]
-
-    def plain(self, x: Array, rounds: int) -> Array:
-        """A quick descent in the landscape's coordinates."""
-        return self._quick(x, rounds, np.eye(len(x)))
-
-    def whitened(self, x: Array, rounds: int) -> Array:
-        """A quick descent in coordinates where all directions count alike."""
-        return self._quick(x, rounds, balanced_coordinates(self.landscape, x))
-
-    def _quick(self, start: Array, rounds: int, M: Array) -> Array:
-        """A descent of log norm over t, from start + M t."""
-
-        def log_norm(t: Array, above: float) -> tuple[float, Array | None]:
-            x = start + M @ t
-            if np.any(np.abs(x) > self.limit):
-                return np.inf, None
-            norm, at = self.landscape.norm(x, float(np.exp(min(above, 700.0))))
-            value = float(np.log(max(norm, 1e-300)))
-            return value, M.T @ self.landscape.slope(x, at) / norm if value <= above and norm > 0 else None
-
-        return start + M @ quasi_newton(log_norm, np.zeros(len(start)), rounds)[0]
+    def reached(self, candidate: Candidate) -> bool:
+        """Returns True if a candidate is close enough to the lower bound, or next to zero."""
+        return candidate.norm <= self.enough

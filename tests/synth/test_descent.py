@@ -6,9 +6,9 @@ import pytest
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges
+from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
-from synth.design.descent.symmetry import Symmetry
+from synth.design.fixed_order.pattern import in_equal_units
 from synth.design.static import static_output_feedback
 from synth.design.two_step import two_step_design
 from synth.lmi.full_order_bound import find_lower_bound
@@ -88,31 +88,16 @@ def test_same_gain_again():
         np.testing.assert_array_equal(static_output_feedback(plant, Cy).gain, static_output_feedback(plant, Cy).gain)
 
 
-def test_gains_that_make_the_same_loop():
-    """The unit of a controller's memory changes the gain, not the norm; the smallest of these gains is found from any of them."""
+def test_units_of_a_law_that_make_the_same_loop():
+    """The unit of a law's state changes its gain, not the norm; the same balanced gain is found from any of them."""
     plant, Cy = follower()
     landscape = Landscape(plant.measured(Cy))
-    alike = Symmetry(landscape)
-    sizes = []
+    norm, points = landscape.norm(landscape.point(lead(1e3, 10.0, 100.0)))[0], []
     for unit in (1e-3, 1.0, 1e3):
-        K = lead(1e3, 10.0, 100.0) * np.outer([1.0, unit], [1.0, 1.0, 1 / unit])
-        found = alike.smallest(landscape.point(K))
-        assert landscape.norm(found)[0] == pytest.approx(landscape.norm(landscape.point(K))[0], rel=1e-9)  # what it accepts
-        sizes.append(np.abs(landscape.gain(found)).max())
-    np.testing.assert_allclose(sizes, 1e3, rtol=1e-3)  # its stiffness, which no unit changes
-    other, its_Cy = random_plant(0)
-    point = np.ones(4)
-    np.testing.assert_array_equal(Symmetry(Landscape(other.measured(its_Cy))).smallest(point), point)
-
-
-def test_the_bound_counts_where_gains_are_smallest():
-    """A largest entry that is the same in all gains that are alike does not keep the others from being made smaller."""
-    plant, Cy = follower()
-    landscape = Landscape(plant.measured(Cy))
-    K = lead(1e3, 10.0, 1e4) * np.outer([1.0, 3.0], [1.0, 1.0, 1 / 3.0])  # the memory's own rate, 1e4, is the same in every unit
-    found = landscape.gain(Symmetry(landscape).smallest(landscape.point(K)))
-    assert np.abs(found).max() == pytest.approx(1e4, rel=1e-9)
-    assert np.sum(found**2) < 0.9 * np.sum(K**2)  # measured 0.63
+        x = landscape.point(lead(1e3, 10.0, 100.0) * np.outer([1.0, unit], [1.0, 1.0, 1 / unit]))
+        points.append(in_equal_units(landscape, x, states=1))
+        assert landscape.norm(points[-1])[0] == pytest.approx(norm, rel=1e-9)
+    np.testing.assert_allclose(points, [points[0]] * 3, rtol=1e-9)
 
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e5])
@@ -145,12 +130,12 @@ def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
     plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     landscape = Landscape(plant.measured(np.eye(2)))
     x, limit = np.zeros(2), np.full(2, 1e3)
-    reached, norm = along_edges(landscape, x, limit, 30)
+    reached, norm = descend_norm(landscape, x, limit, 30)
     assert norm < landscape.norm(x)[0]
     monkeypatch.setattr(
         Landscape, "heights", lambda self, x, cuts: (np.full(len(cuts.omega), -9.0), np.zeros((len(cuts.omega), 2)))
     )
-    assert np.array_equal(along_edges(landscape, reached, limit, 30)[0], reached)
+    assert np.array_equal(descend_norm(landscape, reached, limit, 30)[0], reached)
 
 
 def test_gains_that_leave_floats_are_not_stable():
@@ -160,12 +145,3 @@ def test_gains_that_leave_floats_are_not_stable():
     for far in (np.inf, np.nan):
         assert landscape.norm(np.array([far]))[0] == np.inf
         assert landscape.abscissa(np.array([far]))[0] == np.inf
-
-
-def test_a_norm_of_zero_has_its_smallest_gain():
-    """If w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
-    plant = of_lists([[-1, 0], [0, -1]], [[1, 0], [0, 1]], [[1], [0]], [[0, 0]], [[0, 0]])
-    landscape = Landscape(plant.measured(np.eye(2)))
-    assert landscape.norm(np.zeros(4))[0] == 0
-    x = np.array([-1.0, 0.0, 0.0, -1.0])
-    assert np.all(np.isfinite(Symmetry(landscape).smallest(x)))

@@ -1,16 +1,23 @@
-"""Two ways down a landscape that has edges.
+"""Descent on a landscape that has edges: on the largest of some terms, within bounds on others.
 
-- `quasi_newton`: BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It is
-  quick from far away, and stalls on an edge.
-- `along_edges`: the norm is modelled as the largest of its cuts, linearised, plus one curvature; the model's minimum is the step.
-  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.) If the
-  curvature is unknown or has the wrong sign, the step length is measured in the coordinates of `coordinates.py`.
+- `descend` is sequential quadratic programming for a minimax problem. The largest of the linearised functions that bound the
+  terms from below, plus their curvature, is the model of a step, and its minimum is the step. The functions found at the end of
+  each step that is too long join the model, as in bundle methods. If the curvature is unknown or has the wrong sign, the step
+  length is measured in coordinates in which all directions have equal weight (`coordinates.py`).
+- While bounds are exceeded, a multiple of the excess is added to the goal (an exact penalty). If the factor exceeds the
+  multipliers of the bounds, the minimum of the sum is the minimum of the goal within the bounds. A sum of two maxima is the
+  maximum over pairs, so the model has the same form.
+- `descend_norm` is this descent on one norm. It works in stages, each with its own coordinates and curvature.
+- `quasi_newton` is BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It
+  is quick from far away, and stalls on an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import optimize
@@ -19,14 +26,19 @@ from scipy.linalg import lapack
 from models.common.arrays import Array
 from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
+from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
-STALLED = 1e-4  # a fall over seven rounds that is none, of a function whose values are of order one
+STALLED = 1e-4  # decrease over seven rounds that counts as none, of a function whose values are of order one
 
 STAGE = 30  # rounds
-WORTH_A_STAGE = 3e-5  # relative fall of the norm
+WORTH_A_STAGE = 3e-5  # relative decrease of the norm
+ENDED = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
 
-NEAR = 0.7  # of a limit: what lies no further from it is held from the first
+NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
+
+KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
+POINTS = 3  # whose values are cached: the last one, and those of trial steps
 
 Function = Callable[[Array, float], tuple[float, Array | None]]
 
@@ -77,7 +89,146 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     return x, value
 
 
-def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
+@dataclass(frozen=True)
+class Evaluation:
+    """Goal and violation of the bounds at a point.
+
+    Attributes:
+        goal: the largest value of a goal; infinite if a loop is unstable.
+        excess: relative violation of the worst bound; negative if all are kept.
+        worst: indices of the largest goal and of the worst bound.
+    """
+
+    goal: float
+    excess: float
+    worst: tuple[int, int] = (0, 0)
+
+    @property
+    def within(self) -> bool:
+        """True if all bounds are kept."""
+        return self.excess <= KEPT
+
+
+@dataclass(frozen=True, eq=False)
+class LocalModel:
+    """Supports of all terms that may count near a point.
+
+    Attributes:
+        goals: supports of the goals, each with the index of its term.
+        bounds: supports of the bounds, each with the index of its term.
+    """
+
+    goals: tuple[tuple[int, Linearisation], ...]
+    bounds: tuple[tuple[int, Linearisation], ...]
+
+    def __add__(self, other: "LocalModel") -> "LocalModel":
+        return LocalModel(self.goals + other.goals, self.bounds + other.bounds)
+
+
+Cuts = tuple[list[tuple[int, Any]], list[tuple[int, Any]]]  # cuts of goals and of bounds, each with the index of its term
+
+
+class MinimaxProblem:
+    """Minimisation of the largest of some terms, under bounds on others.
+
+    Attributes:
+        goals: the largest of them is minimised.
+        bounds: bounds of the problem, none of which may exceed 1.
+        limit: the largest entries of a point, shape (N,).
+    """
+
+    def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
+        self.goals, self.bounds, self.limit = list(goals), list(bounds), limit
+        self._known: dict[bytes, dict[tuple[int, float], float]] = {}  # values at points, by term and unit
+
+    def value(self, term: Term, x: Array, above: float = np.inf) -> float:
+        """Returns `Term.value` of a term at a point; values of the last points are cached."""
+        known = self._known.setdefault(x.tobytes(), {})
+        if len(self._known) > POINTS:
+            del self._known[next(iter(self._known))]
+        key = (id(term), term.unit)
+        if key not in known:
+            value = term.value(x, above)
+            if not value <= above:
+                return value
+            known[key] = value
+        return known[key]
+
+    def evaluate(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Evaluation:
+        """Returns the merit of a point.
+
+        Args:
+            above: the evaluation ends early if goal (1 + penalty excess) is known to exceed this.
+            penalty: factor of the excess.
+        """
+        goal, excess, i, j = 0.0, -1.0, 0, 0
+        for k, term in enumerate(self.goals):
+            value = self.value(term, x, above)
+            goal, i = (value, k) if value > goal or np.isnan(value) else (goal, i)
+            if goal > above:
+                return Evaluation(goal, excess, (i, j))
+        for k, term in enumerate(self.bounds):
+            most = above / goal - 1 if goal > 0 else np.inf  # limit of penalty times excess
+            beyond = self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1
+            excess, j = (beyond, k) if beyond > excess else (excess, j)
+            if penalty * excess > most:
+                break
+        return Evaluation(goal, excess, (i, j))
+
+    def cut(self, x: Array, evaluation: Evaluation) -> Cuts:
+        """Returns the cuts of the largest goal and of the worst exceeded bound at the point of the last evaluation."""
+        i, j = evaluation.worst
+        bounds = [(j, self.bounds[j].cut(x, 1 + evaluation.excess))] if evaluation.excess > 0 else []
+        return [(i, self.goals[i].cut(x, evaluation.goal))], bounds
+
+    def passed(self, x: Array) -> dict[str, float]:
+        """Returns the bounds that a point exceeds, by name, with the relative excess, the worst first."""
+        excess: dict[str, float] = {}
+        for term in sorted(self.bounds, key=lambda term: -term.value(x)):
+            excess.setdefault(term.name, term.value(x) - 1)
+        return {name: share for name, share in excess.items() if share > KEPT}
+
+    def model(self, x: Array, evaluation: Evaluation, depth: float) -> LocalModel:
+        """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
+        goals, bounds = [], []
+        for i, term in enumerate(self.goals):
+            value = self.value(term, x)
+            if value >= evaluation.goal * (1 - depth):
+                goals.append((i, term.support(x, value, 1 - evaluation.goal * (1 - depth) / value if value > 0 else depth)))
+        for i, term in enumerate(self.bounds):
+            value = self.value(term, x)
+            if value >= 1 - 3 * depth:
+                bounds.append((i, term.support(x, value, depth)))
+        return LocalModel(tuple(goals), tuple(bounds))
+
+    def of_cuts(self, x: Array, cuts: Cuts) -> LocalModel:
+        """Returns the functions of cuts at a point."""
+        goals, bounds = cuts
+        return LocalModel(
+            tuple((i, self.goals[i].reevaluate(x, each)) for i, each in goals),
+            tuple((i, self.bounds[i].reevaluate(x, each)) for i, each in bounds),
+        )
+
+
+def _joined(one: Cuts, other: Cuts) -> Cuts:
+    return one[0] + other[0], one[1] + other[1]
+
+
+def stacked(supports: Sequence[tuple[int, Linearisation]], count: int) -> tuple[Array, Array]:
+    """Returns the joined values, shape (F,), and slopes, shape (F, N), of supports."""
+    if not supports:
+        return np.zeros(0), np.zeros((0, count))
+    return np.concatenate([each.values for _, each in supports]), np.concatenate([each.slopes for _, each in supports])
+
+
+FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
+FLAT = 1e-7  # relative decrease over so many rounds that counts as none
+OVER = 10
+MOST_PAIRS = 400
+LITTLE = 1e-3  # weight of functions whose curvature does not count
+
+
+def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
     """Minimises the norm from a stable x, |x_i| <= limit_i, until it is small enough or a stage gains next to nothing.
 
     Every stage has coordinates of its own and forgets the curvature: what the last one learnt on other edges only makes the steps
@@ -86,105 +237,176 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, enoug
     Returns:
         Where it ended, and the norm there.
     """
-    height, _ = landscape.norm(x)
+    minimax = MinimaxProblem([NormTerm(landscape)], [], limit)
+    norm = minimax.evaluate(x).goal
     for done in range(0, rounds, STAGE):
-        x, reached = _stage(landscape, x, limit, min(STAGE, rounds - done), enough)
-        if reached <= enough or reached > height * (1 - WORTH_A_STAGE):
-            return x, reached
-        height = reached
-    return x, height
+        with up_to_rounding():
+            M, before = balanced_coordinates(landscape, x), norm
+            x, there = descend(minimax, x, M, min(STAGE, rounds - done), enough=enough, flat=ENDED)
+            norm = there.goal
+            if enough < norm <= before * (1 - WORTH_A_STAGE) and not landscape.work.over:
+                continue
+        break
+    return x, norm
 
 
-def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float) -> tuple[Array, float]:
-    """Rounds of one stage: until ten of them gain less than a hundred thousandth, or rounding leaves no model of the norm."""
-    height, at = landscape.norm(x)
-    with up_to_rounding():
-        for each in _rounds(landscape, x, height, at, limit, rounds):
-            x, height = each
-            if height <= enough:
+def descend(
+    minimax: MinimaxProblem,
+    x: Array,
+    M: Array,
+    rounds: int,
+    on_progress: Callable[[Array, Evaluation], None] = lambda x, evaluation: None,
+    enough: float = 0.0,
+    settled: float = -np.inf,
+    flat: float = FLAT,
+) -> tuple[Array, Evaluation]:
+    """Descends from a point at which all loops are stable, within the bounds if the start is or a way there is found.
+
+    Args:
+        M: coordinates in which all directions have equal weight, shape (N, N).
+        rounds: largest number of iterations.
+        on_progress: callback that receives every new point.
+        enough: value of the goal at which the descent ends.
+        settled: predicted relative decrease below which the descent ends immediately, without another refinement of the model.
+        flat: relative decrease over `OVER` rounds that counts as none.
+    """
+    walk = _Walk(minimax, x, M, settled, flat)
+    with up_to_rounding():  # for a loop on the border of stability
+        for _ in range(rounds):
+            if walk.evaluation.goal <= enough or not walk.step():
                 break
-    return x, height
+            on_progress(walk.x, walk.evaluation)
+    return walk.x, walk.evaluation
 
 
-def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Array, rounds: int) -> Iterator[tuple[Array, float]]:
-    """The points of one stage, ever lower, and the norm there."""
-    M = balanced_coordinates(landscape, x)
-    steepest = float(np.linalg.norm(landscape.slope(x, at) @ M)) / height if height > 0 else 0.0
-    M = M / (steepest or 1.0)  # a unit of t is of the size of a step
-    hessian, damping = 0.1 * np.eye(len(x)), 1e-2
-    recent, depth, failures = [height], 0.1, 0
-    kept = landscape.cuts(x, np.array([at if np.isfinite(at) else 0.0]), height)[:0]
-    omega = landscape.summits(x, height * (1 - depth))
-    for _ in range(rounds):
-        if height < 1e-12 or failures > 8 or (len(recent) > 10 and recent[-10] - height < 1e-5 * height):
-            return
-        peaks = landscape.cuts(x, omega, height * (1 - 0.1 * depth))
-        cuts = peaks + kept
-        moving = np.arange(len(cuts.omega)) < len(peaks.omega)
-        values, slopes = landscape.heights(x, cuts)
-        values, slopes = values / height - 1, slopes @ M / height
-        useful = values > -2 * depth - 0.1
-        cuts, values, slopes, moving = cuts[useful], values[useful], slopes[useful], moving[useful]
+class _Walk:
+    """The state of one descent."""
 
-        _, weights = lowest_point(values, slopes, hessian, M, x, limit)
-        active = moving & (weights > 1e-3 * weights.max())
-        if active.any():
-            curvature = landscape.curvature(x, cuts[active], weights[active] / weights[active].sum()) / height
-            hessian = convex(M.T @ curvature @ M, damping)
-        t, weights = lowest_point(values, slopes, hessian, M, x, limit)
-        fall = -float(np.max(values + slopes @ t))
-        step = M @ t
+    def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
+        self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
+        self.evaluation = minimax.evaluate(x)
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t has the size of a step
+            (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
+            self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
+        self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
+        self.hessian = 0.1 * np.eye(M.shape[1])
+        self.kept: Cuts = [], []
+        self.failures, self.recent = 0, [self.merit(self.evaluation)]
+
+    def merit(self, evaluation: Evaluation) -> float:
+        """Returns the goal with the penalty."""
+        return evaluation.goal * (1 + self.penalty * max(evaluation.excess, 0.0))
+
+    def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
+        """Returns the step that minimises the model, the weights of goals and bounds, and the promised decrease."""
+        (v, s), (c, w) = goals, bounds
+        values = np.append(0.0, self.penalty * c)  # no bound, or one of the bounds
+        slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
+        pairs = (v[:, None] + values).ravel()
+        along = (s[:, None] + slopes).reshape(len(pairs), -1)
+        order = np.argsort(-pairs)[:MOST_PAIRS]
+        t, some = lowest_point(pairs[order], along[order], self.hessian, self.M, self.x, self.minimax.limit)
+        weights = np.zeros(len(pairs))
+        weights[order] = some / (some.sum() or 1.0)
+        table = weights.reshape(len(v), -1)
+        now = max(float(values.max()), 0.0)
+        return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
+
+    def linear(self, model: LocalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Returns the model's functions in the descent's coordinates, relative."""
+        n, goal = len(self.x), self.evaluation.goal
+        (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
+        return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
+
+    def step(self) -> bool:
+        """Performs one iteration. Returns True if another may follow."""
+        minimax, x, M = self.minimax, self.x, self.M
+        if self.failures > 8 or self.evaluation.goal <= 1e-300:
+            return False
+        if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < self.flat * self.recent[-1]:
+            return False
+        fresh = minimax.model(x, self.evaluation, self.depth)
+        goals, bounds = self.linear(fresh + minimax.of_cuts(x, self.kept))
+        _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
+        curvature = self.curvature(fresh, of_goals, of_bounds)
+        if np.any(curvature):
+            self.hessian = convex(M.T @ curvature @ M, self.damping)
+        t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
+            self.penalty *= 4  # the step exceeds a bound that a step with a larger penalty keeps
+            t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
+        if fall < self.settled:
+            return False
+        here = self.merit(self.evaluation)
         if not fall > 1e-10:
-            depth, failures = depth / 4, failures + 1
-            continue
-        beyond, length, corrected = cuts[:0], 1.0, False
+            self.depth, self.failures = self.depth / 4, self.failures + 1
+            return True
+        move, length, beyond, corrected = M @ t, 1.0, ([], []), False
         while length > 1e-3:
-            allowed = height * (1 - 1e-2 * length * fall)
-            there, where = landscape.norm(x + length * step, allowed)
-            if there <= allowed:
+            allowed = here * (1 - 1e-2 * length * fall)
+            there = self.at(x + length * move, allowed)
+            if self.merit(there) <= allowed:
                 break
-            if np.isfinite(there) and np.isfinite(where):  # what rose there is missing in the model
-                beyond = beyond + landscape.cuts(x + length * step, np.array([where]), there)
+            if np.isfinite(self.merit(there)):  # what is larger there is missing in the model
+                beyond = _joined(beyond, minimax.cut(x + length * move, there))
                 if not corrected:
-                    # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
+                    # The edges are curved, so they are modelled anew at the end of the step (a second-order correction).
                     corrected = True
-                    better = _corrected(landscape, x, t, height, depth, hessian, M, limit)
-                    there, _ = landscape.norm(x + better, allowed)
-                    if there <= allowed:
-                        step = better
+                    better = self.corrected(x + move, t)
+                    there = self.at(x + better, allowed)
+                    if self.merit(there) <= allowed:
+                        move = better
                         break
             length *= 0.3
         else:
-            damping, failures, kept = 10 * damping, failures + 1, kept + beyond
-            hessian = hessian * 10
-            continue
-
-        while length >= 1 and np.all(np.abs(x + 3 * length * step) <= limit):  # a minimum far away, or at infinity
-            further, _ = landscape.norm(x + 3 * length * step, there - 0.1 * length * fall * height)
-            if further > there - 0.1 * length * fall * height:
+            self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
+            self.kept = _joined(self.kept, beyond)
+            return True
+        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
+            needed = self.merit(there) - 0.1 * length * fall * here
+            further = self.at(x + 3 * length * move, needed)
+            if self.merit(further) > needed:
                 break
             length, there = 3 * length, further
-        failures, kept = (0 if length > 0.05 else failures), beyond
-        damping = max(damping / 4, 1e-8) if length >= 1 else damping * 2
-        step = length * step
-        omega = landscape.summits(x + step, there * (1 - depth))
-        x, height = x + step, there
-        recent.append(height)
-        yield x, height
+        self.failures, self.kept = (0 if length > 0.05 else self.failures), beyond
+        self.damping = max(self.damping / 4, 1e-8) if length >= 1 else self.damping * 2
+        self.x = np.clip(x + length * move, -minimax.limit, minimax.limit)
+        self.evaluation = minimax.evaluate(self.x)
+        self.recent.append(self.merit(self.evaluation))
+        return True
 
+    def at(self, x: Array, allowed: float) -> Evaluation:
+        """Returns the evaluation of a point, which ends early if its result can no longer matter."""
+        return self.minimax.evaluate(x, allowed, self.penalty)
 
-def _corrected(
-    landscape: Landscape, x: Array, t: Array, height: float, depth: float, hessian: Array, M: Array, limit: Array
-) -> Array:
-    """The step M t again, with the peaks as they are at its end."""
-    end = x + M @ t
-    peaks = landscape.cuts(end, landscape.summits(end, height * (1 - depth)), height * (1 - 0.1 * depth))
-    if not len(peaks.omega):
-        return M @ t
-    values, slopes = landscape.heights(end, peaks)
-    values, slopes = values / height - 1, slopes @ M / height
-    better, _ = lowest_point(values - slopes @ t, slopes, hessian, M, x, limit)
-    return M @ better
+    def corrected(self, end: Array, t: Array) -> Array:
+        """Returns the step t again, by the functions as they are at its end, shape (N,)."""
+        goal, depth = self.evaluation.goal, self.depth
+        model = LocalModel(
+            tuple((i, term.support(end, goal, depth)) for i, term in enumerate(self.minimax.goals)),
+            tuple((i, term.support(end, 1.0, depth)) for i, term in enumerate(self.minimax.bounds)),
+        )
+        (v, s), (c, w) = self.linear(model)
+        if not len(v) or not np.isfinite(v).all() or not np.isfinite(c).all():
+            return self.M @ t
+        return self.M @ self.lowest((v - s @ t, s), (c - w @ t, w))[0]
+
+    def curvature(self, fresh: LocalModel, of_goals: Array, of_bounds: Array) -> Array:
+        """Returns the curvature of the functions that are active at the point, as if the functions of cuts were not."""
+        total, share = np.zeros((len(self.x), len(self.x))), of_goals[: sum(len(each.values) for _, each in fresh.goals)].sum()
+        if share < LITTLE:
+            return total
+        for terms, supports, weights, unit in (
+            (self.minimax.goals, fresh.goals, of_goals, self.evaluation.goal * share),
+            (self.minimax.bounds, fresh.bounds, of_bounds, share),
+        ):
+            start = 0
+            for i, support in supports:
+                own = weights[start : start + len(support.values)]
+                start += len(support.values)
+                if len(own) and own.max() > LITTLE:
+                    total += terms[i].curvature(self.x, support, own) / unit
+        return total
 
 
 def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
@@ -203,7 +425,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
     inverse = lapack.dtrtrs(root, np.eye(len(root)))[0]
     far = 10.0
     rows = np.hstack([-slopes @ inverse / far, np.ones((len(values), 1))])
-    bounds = values / far + far
+    bounds = (values - values.max()) / far + far
     moves = np.vstack([M, -M]) @ inverse  # up to the limits, and down to them
     room = np.concatenate([limit - x, limit + x])
     at_limit = room < NEAR * np.tile(limit, 2)

@@ -15,7 +15,7 @@ from models.common.errors import InputError
 from models.common.printed import brief, digits, percent
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges
+from synth.design.descent.minimax import descend_norm
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
@@ -104,7 +104,7 @@ def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
         if landscape.work.over:
             break
         allowed = size if stage == 0 else 2 * size
-        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
+        moved, reached = descend_norm(landscape, x, np.full(len(x), allowed), ROUNDS)
         growth = float(np.abs(moved).max()) / size if size else 1.0
         bought = 1 - reached / norm
         if growth > 1 + 1e-6 and bought < WORTH:
@@ -143,13 +143,13 @@ def worth_refining(plant: Plant, K: Array) -> float:
     if not 0 < before < np.inf:
         return 0.0
     size = float(np.abs(x).max())
-    _, reached = along_edges(landscape, x, np.full(len(x), size), GLANCE)
+    _, reached = descend_norm(landscape, x, np.full(len(x), size), GLANCE)
     if reached < before * (1 - SEEN):
         return 1 - reached / before
     # Nothing without growth: then what the first twofold growth buys, where it is worth it.
     landscape = Landscape(plant)
-    x, norm = along_edges(landscape, x, np.full(len(x), size), ROUNDS)
-    _, reached = along_edges(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
+    x, norm = descend_norm(landscape, x, np.full(len(x), size), ROUNDS)
+    _, reached = descend_norm(landscape, x, np.full(len(x), 2 * float(np.abs(x).max())), GLANCE)
     return 1 - reached / before if reached < norm * (1 - WORTH) else 1 - norm / before
 
 

@@ -23,7 +23,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges, quasi_newton
+from synth.design.descent.minimax import descend_norm, quasi_newton
 from synth.plant.generalized import Plant
 from synth.plant.units import size
 
@@ -172,7 +172,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
         lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
         if history[-1] <= 0.1 * STABLE or lost or landscape.work.over or np.any(np.abs(x) > limit):
             break
-        x, _ = along_edges(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
+        x, _ = descend_norm(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
         history.append(abscissa(x)[0])
     inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
     return x if inside else None

@@ -29,7 +29,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import stabilisability_failures
 from synth.design.descent.landscape import Work
-from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
+from synth.design.fixed_order.pattern import StructuredGain, gains_on_filters, in_equal_units, structured_gain
 from synth.design.fixed_order.reduction import reductions
 from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
@@ -37,7 +37,7 @@ from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.problem import DESCENT, DesignProblem, DesignResult, Progress, as_designed
-from synth.design.static import MOST, Candidate, GainSearch, bounded_work
+from synth.design.static import CONVERGED, MOST, Candidate, GainSearch, bounded_work
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.discrete import mapped
 from synth.plant.generalized import Plant, check_inputs, check_posed
@@ -336,7 +336,7 @@ class _Search:
             1.0,
             self.below.gamma,
             posed.free,
-            partial(LawUnits, states=states),
+            partial(in_equal_units, states=states),
             WITHIN,
             work=self.work,
         )
@@ -395,7 +395,7 @@ class _Search:
         """
         for wider in WIDER:
             search = self.of(posed, states, wider * limit)
-            moved = search.followed(best)
+            moved = search.step(best, CONVERGED)
             law, certificate = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)))
             lower = moved.norm < best.norm * (1 - WITHIN) and not certificate.failures and certificate.speed_up <= self.most
             if lower and not (self.stable and self.as_run(law).growth):

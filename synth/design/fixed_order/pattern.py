@@ -117,24 +117,21 @@ def _filters(structure: LawStructure, rows: Array, period: float | None) -> Line
     return replace(all_of, B=all_of.B @ rows, D=all_of.D @ rows)
 
 
-class LawUnits:
-    """Laws that differ by the units of their states, and make the same loop: those whose gains have the smallest entries."""
+def in_equal_units(landscape: Landscape, x: Array, states: int) -> Array:
+    """Returns the point of the same loop in which the row and the column of each state have one size (Osborne 1960), shape (N,).
 
-    def __init__(self, landscape: Landscape, states: int) -> None:
-        self.landscape, self.states = landscape, states
-
-    def smallest(self, x: Array) -> Array:
-        """Returns the point whose rows and columns of each state have one size (Osborne 1960), shape (N,)."""
-        if not self.states:
-            return x
-        gain = self.landscape.gain(x) / self.landscape.scale
-        m, q = (count - self.states for count in gain.shape)
-        for _ in range(SWEEPS):
-            for i in range(self.states):
-                row, column = np.delete(gain[m + i], q + i), np.delete(gain[:, q + i], m + i)
-                into, out = np.linalg.norm(row), np.linalg.norm(column)
-                if into > 0 and out > 0:
-                    unit = np.sqrt(into / out)
-                    gain[m + i] /= unit
-                    gain[:, q + i] *= unit
-        return self.landscape.of_entries(gain)
+    Laws that differ by the units of their states make the same loop. The entries of this point are the smallest.
+    """
+    if not states:
+        return x
+    gain = landscape.gain(x) / landscape.scale
+    m, q = (count - states for count in gain.shape)
+    for _ in range(SWEEPS):
+        for i in range(states):
+            row, column = np.delete(gain[m + i], q + i), np.delete(gain[:, q + i], m + i)
+            into, out = np.linalg.norm(row), np.linalg.norm(column)
+            if into > 0 and out > 0:
+                unit = np.sqrt(into / out)
+                gain[m + i] /= unit
+                gain[:, q + i] *= unit
+    return landscape.of_entries(gain)

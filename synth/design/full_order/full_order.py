@@ -23,7 +23,7 @@ from synth.analysis.bounding import certify_law
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import along_edges
+from synth.design.descent.minimax import descend_norm
 from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select
 from synth.design.full_order.stable import stable_laws
 from synth.design.problem import LARGEST_GAIN, DesignProblem, DesignResult, Progress, as_designed
@@ -102,7 +102,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
         most = float(np.abs(x).max()) * (2 if stage else 1)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            x, reached = along_edges(landscape, x, np.full(len(x), most), ROUNDS, enough)
+            x, reached = descend_norm(landscape, x, np.full(len(x), most), ROUNDS, enough)
             each = point(landscape.gain(x))
             if each is not None and each.speed_up <= limit:
                 best.append(each)

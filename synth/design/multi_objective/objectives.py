@@ -1,9 +1,5 @@
-"""Objectives and bounds as functions of the gain: their values, and smooth functions that bound them from below.
+"""Terms of goals other than norms: the decay of a loop, and the peak of a signal for a given energy of the disturbance."""
 
-A point x is a gain in the coordinates of a `Landscape`, the same for all terms of a problem.
-"""
-
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,95 +7,13 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.design.descent.landscape import Cuts
+from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.band_norm import BandLandscape
 
 NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """F smooth functions that bound a term from below near a point.
-
-    Attributes:
-        values: values at the point, shape (F,).
-        slopes: slopes at the point, shape (F, N).
-        touching: True for functions that are local maxima of the term at the point, whose curvature counts, shape (F,).
-        cuts: the term's own identification of the functions.
-    """
-
-    values: Array
-    slopes: Array
-    touching: Array
-    cuts: Any
-
-
-class Objective(ABC):
-    """A function of the gain.
-
-    Attributes:
-        unit: the value that counts as one: a bound, or the best known value.
-        name: description of the bounded quantity.
-    """
-
-    unit: float
-    name: str
-
-    @abstractmethod
-    def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value in its unit, or a lower bound once that exceeds `above`; infinite if the loop is unstable."""
-
-    @abstractmethod
-    def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the functions that come within a share `depth` of the term's value at a point."""
-
-    @abstractmethod
-    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """Returns the same functions at another point."""
-
-    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the weighted sum of second derivatives of the touching functions, shape (N, N); unknown ones count as zero.
-
-        Args:
-            x: point of the support.
-            weights: weights of all functions of the support, shape (F,).
-        """
-        return np.zeros((len(x), len(x)))
-
-
-class NormObjective(Objective):
-    """The largest gain from w to z in a band, of one plant."""
-
-    def __init__(self, landscape: BandLandscape, unit: float, name: str = "") -> None:
-        self.landscape, self.unit, self.name = landscape, unit, name
-
-    def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the norm in the band."""
-        return self.landscape.norm(x, above * self.unit)[0] / self.unit
-
-    def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the gains at all local maxima within a share of the highest one."""
-        height = value * self.unit
-        omega = self.landscape.summits(x, height * (1 - depth))
-        return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
-
-    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """Returns the gains at the same frequencies for another point, where they need not be maxima."""
-        return self._made(x, support.cuts, touching=False)
-
-    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Returns the curvature of the peaks that the cuts belong to."""
-        active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
-        if not active.any():
-            return np.zeros((len(x), len(x)))
-        return self.landscape.curvature(x, support.cuts[active], weights[active]) / self.unit
-
-    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Linearisation:
-        values, slopes = self.landscape.heights(x, cuts)
-        return Linearisation(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
-
-
-class Decay(Objective):
+class Decay(Term):
     """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
@@ -113,7 +27,7 @@ class Decay(Objective):
         """Returns the real parts of all poles near the bound."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
-    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
+    def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
         """Returns the real parts of the poles at the other point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
@@ -145,7 +59,7 @@ class BoundedSignal:
     name: str
 
 
-class EnergyPeak(Objective):
+class EnergyPeak(Term):
     """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
@@ -160,7 +74,7 @@ class EnergyPeak(Objective):
         """Returns the function itself, which is smooth."""
         return self._made(x, touching=True)
 
-    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
+    def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
         """Returns the function itself at the other point."""
         return self._made(x, touching=False)
 

@@ -8,7 +8,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.stability import balance, is_stable
-from synth.design.multi_objective.objectives import Linearisation, Objective
+from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.road_response import (
     BEND,
     BLOCK,
@@ -27,7 +27,7 @@ MOST = 20_000  # steps
 SPARE = 1 + 1e-5  # factor by which a bound is tightened at first, for the unknown signal between two times
 
 
-class RoadPeak(Objective):
+class RoadPeak(Term):
     """The largest magnitude of a signal over a road, relative to its bound."""
 
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
@@ -72,10 +72,10 @@ class RoadPeak(Objective):
             touching.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
         return self._made(x, touching, touching=True)
 
-    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
+    def reevaluate(self, x: Array, cuts: Sequence[tuple[int, float, float]]) -> Linearisation:
         """Returns the signal at the same times."""
         _, y, slopes, _ = self._signal(x)
-        again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in support.cuts]
+        again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in cuts]
         return self._made(x, again, touching=False)
 
     def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Linearisation:

@@ -11,8 +11,9 @@ from models.common.checks import AT_LEAST_ONE, Bound, Checked, Index, Matrix, No
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
+from synth.design.descent.terms import NormTerm, Term
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
-from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak, NormObjective, Objective
+from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import RoadLoop
 from synth.plant.generalized import Plant
@@ -201,7 +202,7 @@ AND_FOR_ERRORS = 0.02  # relative margin of a decay with errors: at the bound it
 
 def objectives_of(
     problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float
-) -> tuple[list[Objective], list[Objective]]:
+) -> tuple[list[Term], list[Term]]:
     """Returns the goals and the bounds of a problem for some errors.
 
     Args:
@@ -209,17 +210,17 @@ def objectives_of(
         errors: errors of the gain, each of which applies to norms and decay; peaks are without errors.
         rate: the required decay [rad/s]; 0 for none.
     """
-    goals: list[Objective] = []
-    bounds: list[Objective] = []
+    goals: list[Term] = []
+    bounds: list[Term] = []
     which, band = problem.minimise.which, problem.minimise.band
     for i, member in enumerate(problem.members):
         unit = problem.bests[i] if problem.bests is not None else 1.0
         for each in errors:
             minimised = problem.landscape(i, which, band, each, full)
-            goals.append(NormObjective(minimised, unit))
+            goals.append(NormTerm(minimised, unit))
             for norm in problem.norms:
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
-                bounds.append(NormObjective(landscape, norm.at_most * (1 - TIGHTER), norm.name))
+                bounds.append(NormTerm(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
                 bounds.append(decay(problem, minimised, rate))  # of the same loop, whose poles are known then
         for signal in member.signals:

@@ -16,13 +16,13 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import percent
 from synth.design.descent.coordinates import directions
-from synth.design.descent.minimax import quasi_newton
+from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend, quasi_newton
 from synth.design.descent.starts import survey
+from synth.design.descent.terms import NormTerm
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
+from synth.design.multi_objective.objectives import EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, decay, objectives_of
-from synth.design.multi_objective.sqp import FLAT, KEPT, Evaluation, MinimaxProblem, descend
 from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.plant.numerics import DesignError
 
@@ -171,9 +171,9 @@ class MinimaxSearch:
         ):
             self.incumbent = x, evaluation
 
-    def norms(self) -> list[NormObjective]:
+    def norms(self) -> list[NormTerm]:
         """Returns the minimised norms of all loops."""
-        return [term for term in self.minimax.goals if isinstance(term, NormObjective)]
+        return [term for term in self.minimax.goals if isinstance(term, NormTerm)]
 
     def moved(self, x: Array, evaluation: Evaluation) -> None:
         """Stores and reports a new point."""

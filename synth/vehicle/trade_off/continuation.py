@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from synth.design.descent.minimax import KEPT, MinimaxProblem, descend
 from synth.design.descent.starts import survey
+from synth.design.descent.terms import NormTerm
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.objectives import NormObjective
 from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
-from synth.design.multi_objective.sqp import KEPT, MinimaxProblem, descend
 from synth.plant.numerics import DesignError
 
 GROWTH = 5.0  # times the largest entry of the first start: how far gains go where no bound of theirs says
@@ -129,8 +129,8 @@ class FrontContinuation:
 
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
         """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
-        terms = {k: [NormObjective(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
-        bounding = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
+        terms = {k: [NormTerm(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
+        bounding = [NormTerm(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         minimax = self.search.minimax
         ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *bounding], minimax.limit)
         x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
