@@ -21,8 +21,9 @@ ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 def run(command: str) -> "NoReturn":
     """Runs `main` of a command's module and exits with the code that it returns.
 
-    An exception also ends the command: 2 for bad input, 1 for a failed design, 130 for Ctrl-C, else 1. After Ctrl-C every exception
-    counts as the interrupt, because compiled code can turn the interrupt into an error of another type. With `--traceback` the error is raised, which shows where it came from.
+    An exception also ends the command: 2 for bad input, 1 for a failed design, 130 for Ctrl-C, else 1. After Ctrl-C, every
+    exception counts as the interrupt, because compiled code can turn the interrupt into an error of another type. With
+    `--traceback` the error is raised, which shows where it came from.
 
     Args:
         command: full name of the module, such as `sim.bump`.
