@@ -123,7 +123,7 @@ def _number(value: float, unit: str) -> str:
 
 def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
     """Yields rows on force elements, adjustable dampers, strokes and other limits, sensors and the computer."""
-    kinds = {section: name.replace("_", " ") for name, section in element_kinds().items()}
+    kinds: dict[type, str] = {section: name.replace("_", " ") for name, section in element_kinds().items()}
     for one in vehicle.elements:
         given = {key.partition(".")[2].replace("_", " "): (value, si.unit) for key, (value, si) in one.numbers.items() if value}
         text = ", ".join((kinds.get(type(one.part), "element"), *(f"{key} {_number(*value)}" for key, value in given.items())))
