@@ -28,7 +28,7 @@ COMMANDS = (  # name, its purpose, the options that one reaches for first
 EPILOG = """
 Most commands take --vehicle FILE and --controller NAME, and all take --json. `roadproof NAME --help` lists the options of a
 command with units and defaults. Numbers may have units, as in --speed 90km/h --height "60 mm"; vehicle files accept units, too.
-exit code: 0 success; 1 a failed claim; 2 invalid input; 130 interrupted
+exit code: 0 success; 1 a failed claim or design; 2 invalid input; 130 interrupted
 
 examples:
   roadproof new my_car.toml

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 EPILOG = """
-exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it first reaches another limit; 2 invalid input;
-130 interrupted
+exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it first reaches another limit, or the controller
+cannot be designed; 2 invalid input; 130 interrupted
 
 examples:
   python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png

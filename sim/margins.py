@@ -31,7 +31,7 @@ errors [%]: each measurement is multiplied by its own factor between 1 - error a
 force is, too. With one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search
 finds the worst errors, and MuJoCo finds the stability limit for these errors. The lag of the actuators is included.
 
-exit code: 0 prediction and MuJoCo agree; 1 they disagree; 2 invalid input
+exit code: 0 prediction and MuJoCo agree; 1 they disagree, or the controller cannot be designed; 2 invalid input
 
 examples:
   python -m sim.margins --controller II

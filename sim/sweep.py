@@ -26,8 +26,8 @@ EPILOG = """
 Linear analysis does not apply to a control law in Python. The law is simulated over one sinusoid at a time, and the output
 contains the fundamental and the energy at other frequencies.
 
-exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, or every run of a law
-diverged, so that nothing is measured; 2 invalid input
+exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, a controller cannot be
+designed, or every run of a law diverged, so that nothing is measured; 2 invalid input
 
 examples:
   python -m sim.sweep --picture sweep.png

@@ -8,9 +8,10 @@ import sys
 
 TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
 if TYPE_CHECKING:
+    from types import FrameType
     from typing import NoReturn
 
-BAD_INPUT, INTERRUPTED = 2, 130
+INTERRUPTED = 130
 GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
 # No command renders with MuJoCo, which would start a second Python to look for GLFW. A second BLAS thread waits for work without
 # sleeping, and uses more of the processor than the small products do.
@@ -18,20 +19,32 @@ ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 
 
 def run(command: str) -> "NoReturn":
-    """Runs `main` of a command's module and exits with the code that it returns; 2 for bad input, 130 for Ctrl-C, else 1.
+    """Runs `main` of a command's module and exits with the code that it returns.
 
-    With `--traceback` the error is raised, which shows where it came from.
+    An exception also ends the command: 2 for bad input, 1 for a failed design, 130 for Ctrl-C, else 1. After Ctrl-C, every
+    exception counts as the interrupt, because compiled code can turn the interrupt into an error of another type. With
+    `--traceback` the error is raised, which shows where it came from.
 
     Args:
         command: full name of the module, such as `sim.bump`.
     """
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    import signal
+
+    received = list[int]()  # interrupts
+
+    def interrupt(number: int, frame: "FrameType | None") -> None:
+        received.append(number)
+        signal.default_int_handler(number, frame)
+
     try:
         import gc
         import importlib
         import warnings
 
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as in a script's background
+            signal.signal(signal.SIGINT, interrupt)
         gc.set_threshold(GARBAGE)
         sys.unraisablehook = _unraisable
         if not sys.warnoptions:
@@ -43,9 +56,7 @@ def run(command: str) -> "NoReturn":
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:
-        code = _exit_code(command, error)
-    import signal
-
+        code = _exit_code(command, error, bool(received))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done
     exec("")  # CPython remembers an interrupt inside an `exec`, as of a dataclass, and would end by the signal after all
     sys.exit(code)
@@ -61,7 +72,7 @@ def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
     threading.Timer(0.01, _thread.interrupt_main).start()  # at once, the interrupt would end this hook
 
 
-def _exit_code(command: str, error: BaseException) -> int:
+def _exit_code(command: str, error: BaseException, interrupted: bool) -> int:
     """Prints why a command ended, as one line, and returns its exit code."""
     from models.common.command import complain
     from models.common.errors import TRACEBACK, InputError
@@ -71,15 +82,12 @@ def _exit_code(command: str, error: BaseException) -> int:
     if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`; Python would try to write once more as it exits
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
+    if interrupted or isinstance(error, KeyboardInterrupt):
+        complain(str(error) if isinstance(error, KeyboardInterrupt) and str(error) else "interrupted")
+        return INTERRUPTED
     if isinstance(error, InputError):
         complain(str(error))
-        return BAD_INPUT
-    cause: BaseException | None = error
-    while cause is not None:  # compiled modules turn an interrupt during their import into an error of their own
-        if isinstance(cause, KeyboardInterrupt):
-            complain(str(error) if isinstance(error, KeyboardInterrupt) and str(error) else "interrupted")
-            return INTERRUPTED
-        cause = cause.__cause__ or cause.__context__
+        return error.exit_code
     name = command.removesuffix(".__main__")
     complain(f"{name} failed with an unexpected {type(error).__name__}: {error}; {TRACEBACK} shows where")
     return 1

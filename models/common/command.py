@@ -70,18 +70,29 @@ class Parser(argparse.ArgumentParser):
         return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the options and the arguments that are none; refuses a value with a space that has no quotes."""
+        """Returns the known and the unknown options; refuses a value that belongs to no option, such as a part of a name."""
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
-            end = args.index(others[0]) + 1
-            first = max((i for i in range(end) if args[i].startswith("-")), default=-1)
-            option, value = args[first] if first >= 0 else "", shlex.quote(" ".join(args[first + 1 : end]))
-            advice = "put quotes around a value that contains spaces"
-            advice += f", as in {option} {value}".replace("  ", " ") if end > first + 2 else ""
-            if isinstance(self._option_string_actions.get(option), (argparse._AppendAction, _Vehicles)):
-                advice += f", or repeat {option} for several values"
-            self.error(f"unrecognized argument {others[0]!r}; {advice}")
+            self.error(f"unrecognized argument {others[0]!r}; {self._advice(args[: args.index(others[0]) + 1])}")
         return options, others
+
+    def _advice(self, args: Sequence[str]) -> str:
+        """Returns what to do about the last of these arguments, which the parser does not expect."""
+        first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
+        option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
+        values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
+        if action is None or action.nargs == 0:  # the values are those of the command itself
+            option, action = "", next(iter(self._get_positional_actions()), None)
+        if action is None or len(values) < 2:
+            usual = "--vehicle" if values[-1].endswith(".toml") else "" if "." in values[-1] else "--controller"
+            example = f", as in {usual} {shlex.quote(values[-1])}" if usual in self._option_string_actions else ""
+            return f"give every value after its option{example}"
+        together = f"{option} {shlex.quote(' '.join(values))}".lstrip()
+        quoted = f"put quotes around a value that contains spaces, as in {together}"
+        if isinstance(action, argparse._AppendAction | _Vehicles):
+            each = " ".join(f"{option} {shlex.quote(one)}" for one in values)
+            return f"repeat {option} for several values, as in {each}, or {quoted}"
+        return quoted
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
@@ -192,7 +203,9 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
     """
     for name in given or ():
         if name not in (ALL, *names):
-            raise InputError(f"unknown controller {name!r}; the controllers of this vehicle are {listing(names)}")
+            several = re.split(r"[\s,]+", name)
+            each = f"; repeat the option, as in --controller {' --controller '.join(several)}" * ({*several} <= {*names})
+            raise InputError(f"unknown controller {name!r}; the controllers of this vehicle are {listing(names)}{each}")
         if (given or []).count(name) > 1:
             raise InputError(f"--controller {name} is given twice; give it once")
     if not given and not usual:

@@ -15,7 +15,13 @@ _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, 
 
 
 class InputError(ValueError):
-    """Wrong input. The message contains what was found, what is allowed, and what to do, on one line (`one_line`)."""
+    """Wrong input. The message contains what was found, what is allowed, and what to do, on one line (`one_line`).
+
+    Attributes:
+        exit_code: exit code of a command that this error ends.
+    """
+
+    exit_code = 2
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(str(message)))

@@ -11,12 +11,13 @@ from html import escape
 
 from models.document.reading import drawn_text
 
-Part = tuple[str, str]  # "spring", "damper", "adjustable damper" or "force", and its symbol, as in "k_s"
+Part = tuple[str, str]  # "spring", "damper", "adjustable damper" or "force", and its symbol, as in "k_s"; or "box", and a name
 GREEK = {"phi": "φ", "theta": "θ"}
 SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
 ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112  # between parts of a strut, between struts, beside them, and for the computer
 AHEAD = 120  # more of a road that is not flat
 BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # levels, downwards
+LETTERS = 9  # that a box between body and wheel has room for
 SEAT, ABOVE = (-62, -36), 66  # levels of a seat's mass, and height that a drawing with a seat has above others
 
 
@@ -175,8 +176,14 @@ def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
 
 
 def _part(kind: str, symbol: str, x: float, top: float, low: float) -> Iterator[str]:
-    """Yields a spring, a damper or a force between two levels."""
+    """Yields a spring, a damper, a force, or a box with its name between two levels."""
     middle, reach = (top + low) / 2, (low - top) / 2 - 6
+    if kind == "box":
+        name = symbol if len(symbol) <= LETTERS else f"{symbol[: LETTERS - 1]}…"
+        yield f'<path d="M{x:g} {top:.4g}v6m0 {2 * reach:.4g}V{low:.4g}"/>'
+        yield from _box((x - 8, x + 8), (top + 6, low - 6))
+        yield f'<g transform="rotate(-90 {x:g} {middle:.4g})" font-size="11">{_letters(x, middle + 4, name, plain=True)}</g>'
+        return
     if kind == "spring":
         path = f"v6{''.join(f'l{d} {reach / 4:.4g}' for d in (-7, *(14, -14) * 3, 7))}V{low:.4g}"
     elif kind == "force":

@@ -34,7 +34,9 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
         for name, one in bent.items()
     }
     return ", ".join(
-        f"{name} {rough(at)} (slope of the whole curve: {rough(low)} to {rough(high)})"
+        "{} {:g} {} (slope of the whole curve: {:g} to {:g})".format(
+            name, float(rough(at)), "N s/m" if bent[name].damps else "N/m", float(rough(low)), float(rough(high))
+        )
         for name, (at, low, high) in slopes.items()
     )
 

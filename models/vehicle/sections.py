@@ -233,6 +233,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
     )
     if k and (mass := p.get("sprung_mass")):
         yield _known(frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), ""))
+    yield _known(seat=("", math.sqrt(_ratio(p.get("seat_stiffness", 0.0), p.get("seat_mass", 0.0))) / (2 * math.pi), ""))
     yield _known(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
     for part in kind.suspensions:
         place = _at_suspension(vehicle, part, p)
@@ -281,6 +282,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
         squeeze=(names["tyre"], _ratio(load, tyre), "m"),
         body_frequency=(f"the body's frequency at {part.corner}", math.sqrt(_ratio(k * GRAVITY, load)) / (2 * math.pi), "Hz"),
         force=("actuator_force", (vehicle.force_limits or vehicle.limits).actuator_force, "N"),
+        rate=("force_rate", (vehicle.force_limits or vehicle.limits).force_rate, "N/s"),
     )
 
 

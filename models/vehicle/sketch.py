@@ -3,9 +3,11 @@
 import re
 from collections.abc import Iterator
 
+from models.common.errors import listing
 from models.document.sketch import Sketch, Strut, View
 from models.kinds.kind import Parameters, Wheel
 from models.kinds.signals import TYRE_DEFLECTION
+from models.parts.element import element_kinds
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 
@@ -77,6 +79,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
     parts = [
         ("spring", symbol("k", one.stiffness, "stiffness", ending=one.ending)),
         ("damper", symbol("c", one.damping, "damping", ending=one.ending)),
+        *(("box", element.name) for element in vehicle.elements if one.corner in element.corners),
         ("semi-active damper" if one.force in vehicle.dampers else "force", "u" if one.force else ""),
     ]
     return Strut(
@@ -103,8 +106,7 @@ def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:
             axle = next((axle for axle in PAIRS if name.endswith(axle)), "")
-            unit = known[name].unit.replace("m2", "m²").replace(" ", "·").removesuffix("1")
-            text = f"{value:g} {unit}".rstrip() + " with a curve" * (name in vehicle.curves)
+            text = _number(value, known[name].unit) + " with a curve" * (name in vehicle.curves)
             groups.setdefault(name.removesuffix(axle), {})[axle] = text
     for stem, texts in groups.items():
         symbol = next((symbols[f"{stem}{axle}"] for axle in texts if f"{stem}{axle}" in symbols), "")
@@ -115,8 +117,18 @@ def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str
         yield symbol, stem.replace("_", " "), value
 
 
+def _number(value: float, unit: str) -> str:
+    return f"{value:g} {unit.replace('m2', 'm²').replace('m3', 'm³').replace(' ', '·').removesuffix('1')}".rstrip()
+
+
 def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
-    """Yields rows on adjustable dampers, strokes and other limits, sensors and the computer."""
+    """Yields rows on force elements, adjustable dampers, strokes and other limits, sensors and the computer."""
+    kinds: dict[type, str] = {section: name.replace("_", " ") for name, section in element_kinds().items()}
+    for one in vehicle.elements:
+        given = {key.partition(".")[2].replace("_", " "): (value, si.unit) for key, (value, si) in one.numbers.items() if value}
+        text = ", ".join((kinds.get(type(one.part), "element"), *(f"{key} {_number(*value)}" for key, value in given.items())))
+        where = listing(one.corners).replace("_", " ") if len(one.corners) < len(vehicle.kind.suspensions) else ""
+        yield "", one.name.replace("_", " "), f"{text}, {where}".removesuffix(", ")
     if vehicle.dampers:
         yield "u", "force", "; ".join(dict.fromkeys(damper.words for damper in vehicle.dampers.values()))
     yield "", "strokes and limits", ", ".join(vehicle.limits.phrases(vehicle.kind.suspensions)) or "none"

@@ -24,8 +24,9 @@ A run fails if its control law in Python raises an error, ends its process, or t
 time. The results then contain the reason. A campaign that was interrupted, even by a power cut, continues when you start the same
 command again; a few seconds of work are lost. It cannot continue if the file of a control law has changed.
 
-exit code: 0 every run is finished (with --verify: the results are correct); 1 --verify found an error, or no controller is within
-the limits of --subject-to; 2 invalid input or a full disk; 130 interrupted: finished runs are kept
+exit code: 0 every run is finished (with --verify: the results are correct); 1 --verify found an error, a controller cannot be
+designed, or no controller is within the limits of --subject-to; 2 invalid input or a full disk; 130 interrupted: finished runs
+are kept
 
 examples:
   python -m sim.campaign campaign.toml

@@ -20,6 +20,7 @@ from sim.campaign.plan import Plan
 from sim.campaign.samples import Values
 from sim.command.comparison import controllers_of, say_false_claims
 from synth.controller.controller import AnyController
+from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 
 
@@ -30,13 +31,14 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
+        DesignError: a controller cannot be designed.
+        InputError: the file of a law cannot be read, or the folder does not fit.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
         if len(controllers) < len(campaign.controllers):
-            raise InputError(f"vehicle {name!r}: some controllers cannot be designed; remove those named above from the file")
+            raise DesignError(f"vehicle {name!r}: some controllers cannot be designed; remove those named above from the file")
         say_false_claims(controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle

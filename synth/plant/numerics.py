@@ -12,6 +12,8 @@ from models.common.threads import one_thread
 class DesignError(InputError):
     """Failure of a design. The message contains the problem, its usual cause and what to do."""
 
+    exit_code = 1  # the input is valid
+
 
 class InfeasibleError(DesignError):
     """Proof that no such controller stabilises the plant. The message names the mode, or what else forbids it."""

@@ -53,6 +53,7 @@ sample_period = 0.005
 LIMITS = "\n[limits]\nactuator_force = 500.0\n"
 TEXT = read_vehicle("quarter_car").text + LAW + BUILT + LIMITS
 SEEN = ("suspension_deflection", "sprung_velocity")
+RANGES = ["--range", "suspension_deflection=0.1", "--range", "sprung_velocity=1"]
 SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
 
 
@@ -99,7 +100,7 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
     steps = {name: float(10.0 ** rng.uniform(-4, -1)) for name in measured if rng.random() < 0.4}
     how = dataclasses.replace(vehicle.implementation, sample_period=0.005, delay=int(rng.integers(4)), quantisation=steps)
     limits = dataclasses.replace(vehicle.limits, actuator_force=float(rng.uniform(50, 2000)) if rng.random() < 0.5 else None)
-    if numbers in ("double", "float") and rng.random() < 0.5:
+    if rate := rng.random() < 0.5 and (limits.actuator_force is not None or law.anti_windup is None):
         limits = dataclasses.replace(limits, force_rate=float(rng.uniform(1e3, 1e6)))
     built = dataclasses.replace(vehicle, implementation=how, limits=limits)
     controller = dataclasses.replace(_given(vehicle, "passive"), name="law", measured=measured, law=law)
@@ -107,7 +108,15 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
     if numbers in ("double", "float"):
         return exported_law(built, controller, numbers, "law")
     most = 1.5 * np.abs(list(random_inputs(double, 50, 1))).max(axis=0)
-    return exported_law(built, controller, numbers, "law", dict(zip(measured, most.tolist(), strict=True)))
+    ranges = dict(zip(measured, most.tolist(), strict=True))
+    if rate:  # a share of the largest force
+        free = dataclasses.replace(built, limits=dataclasses.replace(limits, force_rate=None))
+        fixed = exported_law(free, controller, numbers, "law", ranges).fixed
+        assert fixed is not None
+        unit = 2 * fixed.given.max()  # with a rate limit
+        change = max(16 * unit, float(rng.uniform(0.01, 0.5)) * min(unit * fixed.largest, limits.actuator_force or np.inf))
+        built = dataclasses.replace(built, limits=dataclasses.replace(limits, force_rate=change / 0.005))
+    return exported_law(built, controller, numbers, "law", ranges)
 
 
 @needs_cc
@@ -162,15 +171,34 @@ def test_whole_numbers_take_any_law(numbers, tmp_path):
         assert abs(given[0] * law.fixed.given[0]) <= 500
 
 
+@pytest.mark.parametrize("numbers", ["int16", "int32"])
+def test_whole_numbers_limit_the_rate(numbers):
+    """Forces of integer code change by at most 8 N a sample, and differ from those of double code by rounding alone."""
+    text = read_vehicle("quarter_car").text + BUILT + LIMITS + "force_rate = 1600.0\n"
+    text += '\n[controllers.law]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ngain = [[9000.0, -2000.0]]\n'
+    vehicle = parse_vehicle(text)
+    ranges: dict[str, float] = dict(zip(SEEN, (0.05, 0.5), strict=True))
+    law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law", ranges)
+    fixed, rounded = law.fixed, PythonStep(law)
+    assert fixed is not None
+    exact = PythonStep(exported_law(vehicle, _given(vehicle, "law"), "double", "law"))
+    y = [np.sin([0.07 * k, 0.2 * k]) * [0.04, 0.3] * (k < 300) for k in range(400)]
+    given = np.array([rounded(np.rint(one / fixed.seen).tolist())[0] for one in y]) * fixed.given[0]
+    ideal = np.array([exact(one.tolist())[0] for one in y])
+    largest = np.abs(np.diff(ideal)).max()
+    assert largest == pytest.approx(8.0) == np.abs(np.diff(given)).max()
+    assert np.abs(given - ideal).max() <= np.abs(law.law.D[0]) @ fixed.seen / 2 + fixed.given[0] + 1e-4 * 500
+
+
 @needs_cc
-@pytest.mark.parametrize("seed", [0, *attacks(range(1, 6))])
+@pytest.mark.parametrize("seed", [0, 5, *attacks([1, 2, 3, 4])])  # 5: rate limit and anti-windup
 def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
     """For a random law every output of the compiled code is that of Python to the last bit, in floating and in fixed point."""
     for numbers in NUMBERS:
         law = random_law(np.random.default_rng(seed), read_vehicle("half_car"), numbers)
         folder = tmp_path / numbers
         folder.mkdir()
-        assert differing(law, folder, 1000 if seed < 1 else 5_000) == 0
+        assert differing(law, folder, 1000 if seed in (0, 5) else 5_000) == 0
 
 
 @pytest.mark.attack
@@ -282,7 +310,8 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
             ["--controller", "I"],
             r"force_rate limits changes .* give \[implementation\] sample_period",
         ),
-        (BUILT + "[limits]\nforce_rate = 1e4\n", [*WHOLE, "--range", "sprung_velocity=1"], "cannot limit the rate of forces"),
+        (BUILT + "[limits]\nforce_rate = 10\n", [*WHOLE, *RANGES], "too coarse for changes of 0.05 N per sample"),
+        (LAW + BUILT + "[limits]\nforce_rate = 1e4\n", ["--controller", "law", *WHOLE[2:], *RANGES], "give actuator_force"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "magnitude of suspension_deflection; give it with --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
         ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give SIGNAL=MAGNITUDE"),

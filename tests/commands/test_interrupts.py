@@ -22,7 +22,8 @@ ENDS = [  # how `main` ends, the exit code, and stderr
     ("raise KeyboardInterrupt", 130, "roadproof: interrupted\n"),
     ("raise KeyboardInterrupt('interrupted: 3 runs are kept')", 130, "roadproof: interrupted: 3 runs are kept\n"),
     ("import models.common.command; exec('raise KeyboardInterrupt')", 130, "roadproof: interrupted\n"),  # as in a dataclass
-    ("import turned", 130, "roadproof: interrupted\n"),  # compiled modules turn it into an error of their own
+    ("import turned", 130, "roadproof: interrupted\n"),  # compiled code turns it into an error of its own
+    ("from synth.plant.numerics import DesignError; raise DesignError('no gain; do this')", 1, "roadproof: no gain; do this\n"),
     ("import finalised; finalised.wait()", 130, "roadproof: interrupted\n"),  # while a finaliser runs, where Python forgets it
     ("1 / 0", 1, "roadproof: child failed with an unexpected ZeroDivisionError: division by zero; --traceback shows where\n"),
     ("open('missing')", 1, "roadproof: child failed with an unexpected FileNotFoundError: [Errno 2] No such file or directory: "),
@@ -30,10 +31,13 @@ ENDS = [  # how `main` ends, the exit code, and stderr
     ("import numpy; numpy.zeros(1) / 0", 0, ""),  # the command says in words what overflows
 ]
 TURNED = """
+import signal
+
 try:
-    raise KeyboardInterrupt
-except KeyboardInterrupt as interruption:
-    raise ImportError("initialization failed") from interruption
+    signal.raise_signal(signal.SIGINT)
+except KeyboardInterrupt:
+    pass
+raise TypeError("a compiled function forgets why it failed")
 """
 FINALISED = """
 import signal, time

@@ -438,7 +438,9 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     rough = with_curves(suspension_damping=DIGRESSIVE.replace(" }", ", friction = 40.0, friction_velocity = 0.02 }"))
     smooth = with_curves(suspension_damping=DIGRESSIVE)
     (line,) = ideal_lines(smooth, [design(smooth, "passive")])
-    assert line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 (slope of the whole curve: 666.7 to 1750)."
+    assert (
+        line == f"{OF} the linearisation at equilibrium: suspension_damping 1750 N s/m (slope of the whole curve: 666.7 to 1750)."
+    )
     assert at_rest(smooth) is smooth
     assert at_rest_words(smooth) == ""
     said = (

@@ -401,7 +401,9 @@ def test_springs_of_one_parameter_over_travel():
         with pytest.raises(InputError, match=words):
             kind.check(dict(vehicle.parameters))
     for name in ("suspension_stiffness_front", "suspension_stiffness_rear"):  # the spring's own rate, as in [parameters]
-        assert f"{name} {vehicle.parameters[name]:.4g} (slope of the whole curve:" in lines_at_rest(vehicle.parts.with_curve)
+        assert f"{name} {float(f'{vehicle.parameters[name]:.4g}'):g} N/m (slope of the whole curve:" in lines_at_rest(
+            vehicle.parts.with_curve
+        )
 
 
 def test_published_ride_frequencies():

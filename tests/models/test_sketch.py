@@ -53,6 +53,17 @@ def test_every_type_of_vehicle_is_drawn(name, letters, wheels, tmp_path):
         assert f"{value:g} {units[parameter]}" in text or not value
 
 
+def test_force_elements_are_drawn():
+    """An element of `[parts]` is a box with its name on each of its suspensions, and its numbers are in words."""
+    mount = '[parts.top_mount]\nkind = "maxwell"\nstiffness = "150 N/mm"\ndamping = 1500\nat = "{}"\n'
+    inerter = '[parts.dual]\nkind = "inerter"\ninertance = 25\n'
+    for name, place, where in (("half_car_roll", "left", "left"), ("full_car", "rear", "rear left, rear right")):
+        text, letters, _ = drawn(parse_vehicle(f"{read_vehicle(name).text}\n{mount.format(place)}{inerter}"))
+        assert f"top mount: maxwell, stiffness 150000 N/m, damping 1500 N·s/m, {where};" in text
+        assert "dual: inerter, inertance 25 kg;" in text
+        assert (letters.count("top_mount"), letters.count("dual")) == ((1, 2) if name == "half_car_roll" else (3, 4))
+
+
 def test_strokes_sensors_and_computer_are_drawn():
     """Bump stops are drawn and in words; so are sample period, delay and noise, in SI and in milliseconds."""
     plain = read_vehicle("quarter_car")

@@ -365,6 +365,7 @@ MISTAKES = {  # of the car: keys and values, and what the remark or the refusal 
     "suspension_stroke = { bump = 70, rebound = 0.09 }": "bump is 70 m", "stop_stiffness = 100": "in N/m",
     "suspension_stroke = { bump = 0.09, rebound = 0.7 }": "bump and rebound are not swapped",
     "actuator_force = 2": "actuator_force .* is small .* in N", "actuator_force = 2e6": "is large .* in N",
+    "force_rate = 20": r"force_rate \(20 N/s\) is low for the static load .* in N/s", "force_rate = 2e7": "is high .* in N/s",
     "actuator_bandwidth = 10": "1.59155 Hz.* rad/s", "sample_period = 5": "sample_period",
     "sample_period = 0.1|delay = 0": "in s", "delay = 5": "delay times sample_period .0.025 s",
     "noise = { suspension_deflection = 1 }": "noise of .* in m",
@@ -378,7 +379,7 @@ def corner(name: str) -> str:
     given = "".join(f"{key} = {value}\n" for key, value in zip([*CORNER, "motion_ratio"], values, strict=True))
     return f"""type = "quarter_car"\n[parameters]\n{given}[performance]\nsprung_acceleration = 1.0
 [limits]\nsuspension_stroke = {{ bump = 0.07, rebound = 0.09 }}\nstop_stiffness = 1e5\nactuator_force = {force}
-actuator_bandwidth = 60.0\n[implementation]\nsample_period = {period}\ndelay = 1
+actuator_bandwidth = 60.0\nforce_rate = {10 * force}\n[implementation]\nsample_period = {period}\ndelay = 1
 noise = {{ suspension_deflection = 0.001, sprung_acceleration = 0.05 }}\n"""
 
 

@@ -91,7 +91,7 @@ class ExportedLaw:
         """Its units and coefficients in fixed point, or None in floating point."""
         if self.ranges is None:
             return None
-        return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.resolution, self.ranges)
+        return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.change, self.resolution, self.ranges)
 
     @cached_property
     def tables(self) -> dict[str, Array]:
@@ -144,8 +144,8 @@ def exported_law(
         sources: sources of ranges that were not given, by name.
 
     Raises:
-        InputError: the controller is a law in Python or an FMU, has states or a rate limit but no sample period, sets dampers
-            with curves, or has a rate limit in fixed point.
+        InputError: the controller is a law in Python or an FMU, has states or a rate limit but no sample period, or sets dampers
+            with curves.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
@@ -171,8 +171,6 @@ def exported_law(
     rate = vehicle.limits.force_rate
     if rate is not None and how.sample_period is None:
         raise InputError("force_rate limits changes from sample to sample; give [implementation] sample_period")
-    if rate is not None and numbers in BITS:
-        raise InputError(f"{numbers} code cannot limit the rate of forces (force_rate); give double or float")
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.parts.adjustable) if vehicle.dampers else model.inputs
@@ -261,8 +259,11 @@ class PythonStep:
         self._tables = {name: [self._all(row) for row in table.tolist()] for name, table in law.tables.items()}
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
         self._limits = None if law.limit is None else self._all([law.limit] * len(law.outputs))
+        self._changes = None if law.change is None else self._all([law.change] * len(law.outputs))
         if fixed is not None and fixed.limit is not None:
             self._limits = self._all(fixed.limit.tolist())
+        if fixed is not None and fixed.change is not None:
+            self._changes = self._all(fixed.change.tolist())
         self._x, self._given = [self._number(0)] * law.states, [self._number(0)] * len(law.outputs)
         still = [one[0] for one in self._ends] or [self._number(0)] * len(law.outputs)
         self._line = [still for _ in range(law.delay)]
@@ -306,9 +307,9 @@ class PythonStep:
             out = [n + c for c, (n, _, _) in zip(beyond, self._ends, strict=True)]
         elif self._limits is not None:
             given = out = [self._clipped(force, -most, most) for force, most in zip(forces, self._limits, strict=True)]
-        if law.change is not None:
-            step = self._number(law.change)
-            self._given = [self._clipped(force, last - step, last + step) for force, last in zip(given, self._given, strict=True)]
+        if self._changes is not None:
+            steps = zip(given, self._given, self._changes, strict=True)
+            self._given = [self._clipped(force, last - step, last + step) for force, last, step in steps]
             given = out = self._given
         missing = [] if law.anti_windup is None else [g - f for g, f in zip(given, forces, strict=True)]
         rows = zip(of["A"], of["B"], of["L"], strict=True)

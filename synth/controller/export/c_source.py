@@ -208,9 +208,10 @@ class CSource:
         if (of := self.fixed) is not None:
             row = self._row(of.shifts)
             text += f"\n/* a row's sum is over 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
-        if of is not None and of.limit is not None:
-            row = self._row(of.limit)
-            text += f"\n/* largest forces */\nstatic const {self.ctype} {p}_limit[{len(of.limit)}] = {row};\n"
+        ends = () if of is None else (("limit", "forces", of.limit), ("change", "changes of the forces per sample", of.change))
+        for name, what, most in ends:
+            if most is not None:
+                text += f"\n/* largest {what} */\nstatic const {self.ctype} {p}_{name}[{len(most)}] = {self._row(most)};\n"
         return (
             f"/* Tables of controller {law.controller}; included by {p}.c alone. */\n"
             f"#ifndef {guard}\n#define {guard}\n\n{text}"
@@ -287,7 +288,7 @@ class CSource:
             lines.append(f"state->oldest = (state->oldest + 1) % {law.delay};")
         else:
             lines += [f"out->{name} = computed[{j}];" for j, name in enumerate(law.outputs)]
-        if self.fixed is not None and not (law.states or law.delay):
+        if self.fixed is not None and not (law.states or law.delay or law.change is not None):
             lines.append("(void)state;")
         return _function(f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)", lines)
 
@@ -308,6 +309,9 @@ class CSource:
             top = most if law.limit is None else f"(int64_t){p}_limit[i]"
             inner.append(f"computed[i] = {p}_rounded(total, {p}_shift[i], {top});")
             missing = f"({number})(computed[i] - {p}_rounded(total, {p}_shift[i], {most}))"
+            if law.change is not None:
+                change = f"{p}_rounded((int64_t)computed[i] - state->given[i], 0, {p}_change[i])"
+                inner += [f"computed[i] = ({number})(state->given[i] + {change});", "state->given[i] = computed[i];"]
         else:
             inner = [f"{number} force = {self.zero};", *inner, f"state->faults += {p}_fault(total, &force);"]
             if law.dampers:

@@ -20,6 +20,7 @@ from models.laws.linear import LinearLaw
 BITS = {"int16": 16, "int32": 32}
 MOST_SHIFT = 62
 ABOVE = 1.01  # of a state's peak, for what rounding adds to it
+LEAST_CHANGE = 16  # units of a force that its largest change has, so that rounding the change down takes at most 6 % of it
 DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000  # of a response whose rest is neglected; samples together, and at most
 
 
@@ -36,6 +37,7 @@ class FixedPoint:
             (m + k, q + k + m).
         shifts: shift of each row, shape (m + k,).
         limit: largest force, in the units of each, shape (m,), or None.
+        change: largest change of a force from sample to sample, in the units of each, shape (m,), or None.
     """
 
     largest: int
@@ -45,6 +47,7 @@ class FixedPoint:
     rows: Array
     shifts: Array
     limit: Array | None
+    change: Array | None
 
 
 def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
@@ -69,7 +72,13 @@ def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
 
 
 def fixed_point(
-    numbers: str, law: LinearLaw, L: Array | None, limit: float | None, resolution: Array, ranges: Array
+    numbers: str,
+    law: LinearLaw,
+    L: Array | None,
+    limit: float | None,
+    change: float | None,
+    resolution: Array,
+    ranges: Array,
 ) -> FixedPoint:
     """Returns the units and coefficients of a law.
 
@@ -78,12 +87,18 @@ def fixed_point(
         law: q readings, m forces, k states.
         L: anti-windup, shape (k, m), or None.
         limit: largest force [N], or None.
+        change: largest change of a force from sample to sample [N], or None.
         resolution: step of each reading, 0 for one that is not quantised, shape (q,).
         ranges: largest magnitude of each reading, shape (q,).
 
     Raises:
         InputError: a state has no peak, or a unit leaves no digits.
     """
+    if change is not None and L is not None and limit is None:
+        raise InputError(
+            f"{numbers} code with anti_windup and force_rate needs a largest force, which bounds the controller states; give "
+            "actuator_force"
+        )
     A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
     A_own, pushed = A, B * ranges
@@ -96,7 +111,8 @@ def fixed_point(
     if limit is not None and L is None:
         forces = np.minimum(forces, limit)
     seen = np.where(resolution * largest >= ranges, resolution, _units(ranges, largest))
-    given, kept = _units(ABOVE * forces, largest), _units(ABOVE * peaks, largest)
+    apart = 1 if change is None else 2  # peaks between a force and the force of the sample before
+    given, kept = _units(apart * ABOVE * forces, largest), _units(ABOVE * peaks, largest)
     whole = np.block([[D, C, np.zeros((m, m))], [B, A, np.zeros((k, m)) if L is None else L]])
     whole = whole * np.concatenate([seen, kept, given]) / np.concatenate([given, kept])[:, None]
     size = np.abs(whole).max(axis=1) if numbers == "int16" else np.abs(whole).sum(axis=1)
@@ -106,7 +122,13 @@ def fixed_point(
     shifts = np.minimum(room, MOST_SHIFT).astype(int)
     rows = np.rint(whole * 2.0 ** shifts[:, None])
     top = None if limit is None else np.minimum(np.floor(limit / given), largest)
-    return FixedPoint(largest, seen, given, kept, rows, shifts, top)
+    step = None if change is None else np.minimum(np.floor(change / given), largest)
+    if step is not None and np.any(step < LEAST_CHANGE):
+        raise InputError(
+            f"{numbers} code has forces in steps of {given.max():g} N, too coarse for changes of {change:g} N per sample "
+            "(force_rate); give int32, float or double"
+        )
+    return FixedPoint(largest, seen, given, kept, rows, shifts, top, step)
 
 
 def _units(peaks: Array, largest: int) -> Array:
