@@ -91,7 +91,7 @@ class Adjustable(SettablePart):
             InputError: the suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
         """
         dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
-        if place.force not in dampers:
+        if not vehicle.adjusted(place.force):
             return
         damper, beside = dampers[place.force], vehicle.curves.get(name)
         if not name:
@@ -111,7 +111,7 @@ class Adjustable(SettablePart):
             )
         one = cls(place.force, place.ending, damper, nominal, 1.0, _standing(damper, nominal, beside))
         _check_takes(name, one)
-        pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and other.force in dampers]
+        pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and vehicle.adjusted(other.force)]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
             raise InputError(
                 f"[actuators] suspensions that share {name} have different damper curves; give the same c_min and "

@@ -377,6 +377,11 @@ class SettablePart(Part):
         return self.damper.c_max - self.nominal
 
     @property
+    def slopes(self) -> tuple[float, float]:
+        """The least and the steepest slope beyond the nominal one [N s/m]."""
+        return self.low, self.steepest_slope - self.nominal
+
+    @property
     def steepest_slope(self) -> float:
         """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
         pair = self.damper.pair
@@ -504,6 +509,18 @@ class Stack:
             own, inputs = None if z is None else z[*at, rows], u if np.ndim(u) == 0 else u[*at, rows]
             total[*at, rows] = of(part, d[*at, rows], v[*at, rows], own, inputs)
         return total
+
+
+def chosen(part: Any, which: Array | slice) -> Any:
+    """Returns a part of N runs for some of these, from a part whose numbers may be arrays of shape (N,)."""
+    if isinstance(which, slice):
+        return part
+    own = object.__new__(type(part))
+    for one in fields(part):
+        value = getattr(part, one.name)
+        of_runs = isinstance(value, np.ndarray) and value.ndim
+        vars(own)[one.name] = value[which] if of_runs else chosen(value, which) if isinstance(value, Part) else value
+    return own
 
 
 def alike(one: Part, other: Part) -> bool:
