@@ -144,6 +144,10 @@ class Damper:
     bandwidth: float | None = None
     pair: Pair | None = None
 
+    def among(self, elements: Sequence[Any]) -> "Damper":
+        """Returns the damper of a vehicle with other elements."""
+        return self
+
     @property
     def words(self) -> str:
         """The damper in a phrase."""

@@ -80,8 +80,11 @@ class CoefficientRange:
         if self.bent is not None:
             least = c_min - self.bent[1][which].force(-speeds) / speeds
             c_min, c_max = least, least + (c_max - c_min) * self._effective(closing, which) / speeds
-        ends = [(one, -one.pull(end[which][..., one.column], closing, which) / speeds[..., one.column])
-                for end in (self.low, self.high) for one in self.elements]
+        ends = [
+            (one, -one.pull(end[which][..., one.column], closing, which) / speeds[..., one.column])
+            for end in (self.low, self.high)
+            for one in self.elements
+        ]
         count = len(self.elements)
         shape = np.broadcast_shapes(np.shape(c_min), speeds.shape) if count else np.shape(c_min)
         return tuple(_with(np.broadcast_to(c, shape), some) for c, some in ((c_min, ends[:count]), (c_max, ends[count:])))
@@ -99,8 +102,8 @@ class CoefficientRange:
     def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
 
-        The first half are coefficients beyond the nominal ones [N s/m], voltages beyond those without a command [V], and forces of
-        actuators that push [N]. The second half are the requested forces [N] minus the ones at these settings.
+        The first half are coefficients beyond the nominal ones [N s/m], voltages beyond those without a command [V], and forces
+        of actuators that push [N]. The second half are the requested forces [N] minus the ones at these settings.
 
         Args:
             requested_force: the requested forces, and the motion of each suspension, see `closing`, shape (..., N, 2 m + c).
@@ -236,7 +239,8 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
             low[i, j], high[i, j], nominal[i, j], adjustable[i, j] = damper.low, damper.high, damper.nominal, True
             pairs[i][j] = damper.damper.pair
     assert np.all(adjustable == adjustable[0]), "vehicles side by side have their dampers at the same places"
-    curved, every = CoefficientRange(low, high, nominal, adjustable[0], None, _elements(vehicles)), [pair for row in pairs for pair in row]
+    curved = CoefficientRange(low, high, nominal, adjustable[0], None, _elements(vehicles))
+    every = [pair for row in pairs for pair in row]
     if not any(every):
         return curved
     shape = [pair and pair.shape.pieces for pair in every]

@@ -50,6 +50,9 @@ class ElementDamper(Damper):
         low, high = (float(part.after_yield(np.array(SPEED), u)) / SPEED for u in part.settable)
         return cls(low, high, part.bandwidth, None, one.name, part)
 
+    def among(self, elements: Sequence[Element]) -> "ElementDamper":
+        return ElementDamper.of(next(one for one in elements if one.name == self.name))
+
     @property
     def words(self) -> str:
         lag = "" if self.bandwidth is None else f", with a lag of {self.bandwidth:g} rad/s"
@@ -125,8 +128,8 @@ class SetElement(SettablePart):
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
         """Returns the voltages beyond the one without a command whose forces are nearest to requested ones [V], shape (...).
 
-        The pull times `Part.divisor` is a parabola in the voltage. So the pull is the requested one at roots of a parabola, and has
-        its extremes at the ends and at roots of another parabola.
+        The pull times `Part.divisor` is a parabola in the voltage. So the pull is the requested one at roots of a parabola, and
+        has its extremes at the ends and at roots of another parabola.
         """
         low, high, pull = self.low, self.high, self.element.pull
         wanted, wide = pull(d, v, z, 0.0) - force, high - low
@@ -205,12 +208,10 @@ def element_dampers(
                 raise InputError(f"{what} needs an actuator{where}, which this vehicle type does not have; omit largest_voltage")
             if place.force in dampers:
                 other = dampers[place.force].name
-                raise InputError(f"{what} and [parts.{other}] largest_voltage both take {place.force}; give voltage to one of them")
+                raise InputError(f"{what} and [parts.{other}] largest_voltage both take {place.force}; omit one of the two")
             own = place.ending.removeprefix("_")
             if own in actuators or any(not isinstance(value, Mapping) or key in CURVED for key, value in actuators.items()):
-                raise InputError(
-                    f"{what} and [actuators] both give {place.force}; omit largest_voltage, or leave this suspension out of [actuators]"
-                )
+                raise InputError(f"{what} and [actuators] both give {place.force}; omit one of the two at this suspension")
             dampers[place.force] = ElementDamper.of(one)
     if dampers:
         check_unlimited(limited, f"[parts.{next(iter(dampers.values())).name}] has a semi-active damper")

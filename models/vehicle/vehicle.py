@@ -665,7 +665,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             named.add(part.velocity.name)
     vehicle_kind = vehicle_kind.naming(named)
     if dampers:
-        vehicle_kind = replace(vehicle_kind, signals=(*vehicle_kind.signals, *of_dampers({one: force in of_elements for force, one in endings.items()})))
+        vehicle_kind = replace(
+            vehicle_kind,
+            signals=(*vehicle_kind.signals, *of_dampers({one: force in of_elements for force, one in endings.items()})),
+        )
     vehicle = Vehicle(
         kind=vehicle_kind,
         parameters=parameters,

@@ -397,10 +397,9 @@ def largest_timestep(vehicle: Vehicle) -> float:
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
     if vehicle.dampers:
-        from models.parts.damper_range import range_of
         from sim.linear.dampers import stretching
 
-        of, V = range_of([vehicle]), stretching(vehicle)
+        V = stretching(vehicle)
         slopes = {one.force: one.slopes for one in vehicle.parts.adjustable}
         ends = np.array([slopes.get(force, (0.0, 0.0)) for force in forces]).T
         systems += [A - (vehicle.linear_model.B * d) @ V for d in ends]

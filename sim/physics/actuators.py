@@ -123,8 +123,8 @@ class Actuators:
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            curved = one.damper.pair is not None or one.force in self._ratios.over_travel  # its force is that of several actuators
-            if curved and j not in [other.column for other in self._of.elements]:
+            several = one.damper.pair is not None or one.force in self._ratios.over_travel  # actuators that give its force
+            if several and one.damper.replaces:
                 deflection, velocity = parts[one.force]
                 speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]
                 for n, (other, v) in enumerate(zip(self.vehicles, speeds.T, strict=True)):

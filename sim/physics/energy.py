@@ -46,8 +46,8 @@ from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
-from models.roads.road import RoadInput
 from models.parts.damper_range import range_of
+from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.suspension_forces import MotionRatios
@@ -237,7 +237,9 @@ def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Ar
     return (changes[0] + changes[1]) / 2, stored(late, u[1:]) - stored(late, held), stored(slice(None), u)
 
 
-def _lost(one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3) -> Array | float:
+def _lost(
+    one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3
+) -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
     It leaves out the vehicle's own damper, and the force of an input, whose work is counted apart.

@@ -285,9 +285,8 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         shown[one.coefficient] = one.nominal + coefficient
     of = range_of([vehicle]) if vehicle.dampers else None
     for one in of.elements if of is not None else ():
-        place = vehicle.kind.suspensions[one.place]
-        z = starts.own[:, one.states]
-        shown[place.force] = one.element.push(*one.own_motion(travels[:, one.place], speeds[:, one.place]), z, given[:, one.column])
+        own, force = one.own_motion(travels[:, one.place], speeds[:, one.place]), vehicle.linear_model.inputs[one.column]
+        shown[force] = one.element.push(*own, starts.own[:, one.states], given[:, one.column])
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))
     return {name: values for name, values in shown.items() if name in names and name not in motion.names}

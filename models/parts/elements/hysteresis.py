@@ -31,9 +31,7 @@ from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 DECAY = 100.0  # 1/s
 FAST, FASTEST = 1.0, 2.0  # m/s, of a damper: for its largest force, and for how fast its state can be
 
-Voltage = Annotated[
-    float, SI("V", "voltage, constant or without a command; or current in A, with numbers per ampere", 0.0)
-]
+Voltage = Annotated[float, SI("V", "voltage, constant or without a command; or current in A, with numbers per ampere", 0.0)]
 LargestVoltage = Annotated[float, SI("V", "largest voltage that the suspension's controller sets, from 0; without this key none")]
 Bandwidth = Annotated[float, SI("rad/s", "corner frequency of a first-order lag of the voltage, with largest_voltage")]
 
@@ -68,7 +66,7 @@ class Hysteretic(Part):
             )
         if not any(getattr(self, f"{name}_per_volt") for name in self.by_voltage):
             numbers = listing(f"{name}_per_volt" for name in self.by_voltage)
-            raise InputError(f"largest_voltage has no effect without {numbers}; give one of these above 0, or omit largest_voltage")
+            raise InputError(f"largest_voltage has no effect without {numbers}; give one of these, or omit largest_voltage")
 
     @property
     def settable(self) -> tuple[Number, Number] | None:  # pyright: ignore[reportIncompatibleVariableOverride]
