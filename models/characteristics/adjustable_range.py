@@ -134,12 +134,19 @@ class Damper:
         bandwidth: corner frequency of its valve, a first-order lag from the set coefficient to the acting one [rad/s]; None for
             a valve without lag.
         pair: curves of the damper; None if they are straight lines.
+        replaces: True if it replaces the suspension's own damper.
     """
+
+    replaces: ClassVar[bool] = True
 
     c_min: float
     c_max: float
     bandwidth: float | None = None
     pair: Pair | None = None
+
+    def among(self, elements: Sequence[Any]) -> "Damper":
+        """Returns the damper of a vehicle with other elements."""
+        return self
 
     @property
     def words(self) -> str:
@@ -236,9 +243,19 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
             damper = given.damper
         if damper is not None:
             dampers[force] = damper
-    if dampers and limited:
+    if dampers:
+        check_unlimited(limited, "[actuators] has semi-active dampers")
+    return dampers
+
+
+def check_unlimited(limited: Sequence[str], what: str) -> None:
+    """Checks that no key of `[limits]` limits actuators that push; `what` names the dampers.
+
+    Raises:
+        InputError: a key does.
+    """
+    if limited:
         raise InputError(
-            f"[limits] {limited[0]} is for force actuators, but [actuators] has semi-active dampers; omit {limited[0]}, or give "
+            f"[limits] {limited[0]} is for force actuators, but {what}; omit {limited[0]}, or give "
             'actuators = "force" in the sections of controllers that use force actuators'
         )
-    return dampers

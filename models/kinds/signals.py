@@ -1,6 +1,6 @@
 """Table of signal names, which the linear model, the MJCF, vehicle files, logs and plots share."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -66,6 +66,7 @@ SEAT_VELOCITY = Signal("seat_velocity", "z_p'", "m/s", "vertical velocity of the
 SEAT_ACCELERATION = Signal("seat_acceleration", "z_p''", "m/s2", "vertical acceleration of the person on the seat, up")
 CONTROL_FORCE = Signal("control_force", "u", "N", "actuator force, positive if it lifts the body and presses the wheel down")
 DAMPING = Signal("damping", "c", "N s/m", "damping coefficient of the semi-active damper")
+VOLTAGE = Signal("voltage", "u", "V", "voltage of the semi-active damper")
 MISSING_FORCE = Signal("missing_force", "u* - u", "N", "requested force that the semi-active damper did not reach at its sample")
 HEAVE_LOAD = Signal("heave_load", "F", "N", "external force on the body at its centre of mass, up")
 PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "external moment on the body, nose down")
@@ -82,10 +83,11 @@ OWN = "own"  # unit of a controller's state, whose meaning only its law knows
 KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
 
 
-def of_dampers(endings: Iterable[str]) -> tuple["Signal", ...]:
-    """Returns the signals of adjustable dampers, from the suffixes of the names at their suspensions."""
-    corners = [ending.removeprefix("_") for ending in endings]
-    return tuple(signal.at(corner) if corner else signal for signal in (DAMPING, MISSING_FORCE) for corner in corners)
+def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
+    """Returns the signals of adjustable dampers, by the suffix of the names at their suspensions; True for one with a voltage."""
+    corners = {ending.removeprefix("_"): VOLTAGE if volts else DAMPING for ending, volts in endings.items()}
+    rows = [*((one, corner) for corner, one in corners.items()), *((MISSING_FORCE, corner) for corner in corners)]
+    return tuple(signal.at(corner) if corner else signal for signal, corner in rows)
 
 
 def load_signal(name: str) -> Signal:

@@ -91,7 +91,7 @@ class Adjustable(SettablePart):
             InputError: the suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
         """
         dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
-        if place.force not in dampers:
+        if not vehicle.adjusted(place.force):
             return
         damper, beside = dampers[place.force], vehicle.curves.get(name)
         if not name:
@@ -111,7 +111,7 @@ class Adjustable(SettablePart):
             )
         one = cls(place.force, place.ending, damper, nominal, 1.0, _standing(damper, nominal, beside))
         _check_takes(name, one)
-        pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and other.force in dampers]
+        pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and vehicle.adjusted(other.force)]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
             raise InputError(
                 f"[actuators] suspensions that share {name} have different damper curves; give the same c_min and "
@@ -121,7 +121,7 @@ class Adjustable(SettablePart):
 
     @staticmethod
     def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
-        """Checks that a controller measures no force of a damper with curves, or at a motion ratio over travel.
+        """Checks that a controller measures no force of a damper with curves, of `[parts]`, or at a motion ratio over travel.
 
         MuJoCo has no sensor of such a force.
 
@@ -130,8 +130,9 @@ class Adjustable(SettablePart):
         """
         turning = {place.force for place in vehicle.kind.suspensions if vehicle.kind.table_of(place) is not None}
         for one in vehicle.parts.adjustable:
-            if one.force in measured and (one.force in turning or one.damper.pair is not None):
+            if one.force in measured and (one.force in turning or one.damper.pair is not None or not one.damper.replaces):
                 what = "at a motion ratio over travel" if one.force in turning else "with curves c_min and c_max"
+                what = what if one.damper.replaces else "of [parts]"
                 raise InputError(
                     f"[controllers.{name}] measures {one.force}, which has no sensor for a damper {what}; measure "
                     "suspension_velocity instead, or give numbers"

@@ -25,7 +25,7 @@ class DamperCurve(Characteristic):
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
         """Yields the damper of a suspension, unless it is adjustable: its curve, or its line at a motion ratio over travel."""
         name, curve = place.damping, vehicle.curves.get(place.damping)
-        if place.force in vehicle.dampers or isinstance(curve, ForceSurface):
+        if vehicle.adjusted(place.force) or isinstance(curve, ForceSurface):
             return
         if curve is not None:
             yield cls.with_slope(curve, vehicle.parameters[name]), name

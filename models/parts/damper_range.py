@@ -1,6 +1,6 @@
 """Setting range of adjustable dampers, and the requested force that it leaves out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from models.characteristics.curve import Pieces
 from models.common.arrays import Array
+from models.parts.part import chosen, merged
 
 STILL = 1e-150  # m/s, in place of a velocity of 0
 
@@ -22,6 +23,7 @@ class CoefficientRange:
         low, high: the smallest and the largest coefficient beyond the nominal one [N s/m], shape (N, m).
         nominal: the nominal coefficient [N s/m], 0 for an actuator that pushes, shape (N, m).
         adjustable: True for adjustable dampers, the same in every run, shape (m,).
+        elements: elements whose voltage is set; their limits, the nominal value and what counts as coefficient are in V.
         bent: deviations from their lines of h (`models.characteristics.adjustable_range`) and of the softest settings, each in P
             pieces, shape (N, m, P); None if all are straight.
     """
@@ -31,50 +33,106 @@ class CoefficientRange:
     nominal: Array
     adjustable: Array
     bent: tuple[Pieces, Pieces] | None = None
+    elements: tuple["SetColumn", ...] = ()
+
+    @property
+    def curved(self) -> bool:
+        """True if the limits of a coefficient law depend on the motion."""
+        return self.bent is not None or bool(self.elements)
+
+    def closing(self, speeds: Array, travels: Array, z: Array) -> Array:
+        """Returns the closing velocities, shape (..., N, m), and after them the travel and the states of each element.
+
+        Args:
+            speeds: stretching rates of adjustable dampers [m/s], 0 of actuators that push, shape (..., N, m).
+            travels: deflections of all suspensions at the wheels [m], shape (..., N, s).
+            z: own states of all parts, shape (..., N, k).
+        """
+        closing = self.at_rest - speeds
+        for one in self.elements:
+            travel, _ = one.own_motion(d := travels[..., one.place], np.zeros_like(d))
+            closing = np.concatenate([closing, travel[..., None], z[..., one.states]], axis=-1)
+        return closing
+
+    def _effective(self, closing: Array, which: Array | slice) -> Array:
+        """Returns `effective_velocity`, but the closing velocities of elements."""
+        closing = closing[..., : self.low.shape[1]]
+        return closing if self.bent is None else closing - self.bent[0][which].force(-closing)
 
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are."""
-        return closing if self.bent is None else closing - self.bent[0][which].force(-closing)
+        """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are.
+
+        That of an element is the mean force per volt [N/V].
+        """
+        low, high = self.low[which], self.high[which]
+        rates = [(one, (one.push(high[..., one.column], closing, which, low[..., one.column]))) for one in self.elements]
+        rates = [(one, push / (high - low)[..., one.column]) for one, push in rates]
+        return _with(self._effective(closing, which), rates)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
 
         Args:
             c_min, c_max: limits at rest [N s/m], shapes (N, m).
-            closing: closing velocity of each suspension [m/s], not 0, shape (N, m).
+            closing: closing velocity of each suspension [m/s], not 0, see `closing`, shape (N, m + c).
         """
-        if self.bent is None:
-            return c_min, c_max
-        least = c_min - self.bent[1][which].force(-closing) / closing
-        return least, least + (c_max - c_min) * self.effective_velocity(closing, which) / closing
+        speeds = closing[..., : self.low.shape[1]]
+        if self.bent is not None:
+            least = c_min - self.bent[1][which].force(-speeds) / speeds
+            c_min, c_max = least, least + (c_max - c_min) * self._effective(closing, which) / speeds
+        ends = [
+            (one, -one.pull(end[which][..., one.column], closing, which) / speeds[..., one.column])
+            for end in (self.low, self.high)
+            for one in self.elements
+        ]
+        count = len(self.elements)
+        shape = np.broadcast_shapes(np.shape(c_min), speeds.shape) if count else np.shape(c_min)
+        return tuple(_with(np.broadcast_to(c, shape), some) for c, some in ((c_min, ends[:count]), (c_max, ends[count:])))
+
+    def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """Returns the forces at settings beyond the nominal ones [N], shape (..., N, m)."""
+        pushes = [(one, one.push(beyond[..., one.column], closing, which)) for one in self.elements]
+        return _with(beyond * self._effective(closing, which), pushes)
+
+    def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """Returns the settings beyond the nominal ones whose forces are nearest to requested ones [N], shape (..., N, m)."""
+        own = [(one, one.setting(forces[..., one.column], closing, which)) for one in self.elements]
+        return _with(self._clip(forces / self._effective(closing, which), which), own)
 
     def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
 
-        The first half are coefficients beyond the nominal ones [N s/m], and forces of actuators that push [N]. The second half
-        are the requested forces [N] minus the ones at these settings.
+        The first half are coefficients beyond the nominal ones [N s/m], voltages beyond those without a command [V], and forces
+        of actuators that push [N]. The second half are the requested forces [N] minus the ones at these settings.
 
         Args:
-            requested_force: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
+            requested_force: the requested forces, and the motion of each suspension, see `closing`, shape (..., N, 2 m + c).
         """
-        m = self.low.shape[1]
-        forces, closing = requested_force[..., :m], self.effective_velocity(requested_force[..., m:], which)
-        beyond = self._clip(forces / closing, which)
-        return np.concatenate([beyond, forces - beyond * closing], axis=-1)
+        forces, closing = np.split(requested_force, [self.low.shape[1]], axis=-1)
+        beyond = self.settings(forces, closing, which)
+        return np.concatenate([beyond, forces - self.forces(beyond, closing, which)], axis=-1)
 
     def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
 
         Args:
             coefficients: coefficients of the dampers [N s/m], shape (..., N, m).
-            closing: closing velocity of each suspension [m/s], shape (..., N, m).
+            closing: closing velocity of each suspension [m/s], see `closing`, shape (..., N, m + c).
         """
-        coefficients, turned = coefficients - self.nominal[which], self.effective_velocity(closing, which)
+        speeds, turned, whole = closing[..., : self.low.shape[1]], self._effective(closing, which), coefficients
+        coefficients = coefficients - self.nominal[which]
         if self.bent is not None:  # the coefficients at rest of these settings
-            low, soft = self.low[which], self.bent[1][which].force(-closing)
-            coefficients = low + (coefficients - low + soft / closing) * (closing / turned)
+            low, soft = self.low[which], self.bent[1][which].force(-speeds)
+            coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
-        return np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
+        missing = (coefficients - beyond) * turned
+        if self.elements:
+            own = [(one, one.pull(0.0, closing, which)) for one in self.elements]  # a request is of the whole damper
+            forces = _with(coefficients * turned, [(one, (whole * speeds)[..., one.column] + still) for one, still in own])
+            beyond = _with(beyond, [(one, one.setting(forces[..., one.column], closing, which)) for one in self.elements])
+            given = self.forces(beyond, closing, which)
+            missing = _with(missing, [(one, (forces - given)[..., one.column]) for one in self.elements])
+        return np.concatenate([beyond, missing], axis=-1)
 
     def _clip(self, coefficients: Array, which: Array | slice) -> Array:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
@@ -86,14 +144,82 @@ class CoefficientRange:
             forces: requested forces [N], shape (N, m).
             closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
         """
-        turned = 1.0 if closing is None else self.effective_velocity(closing, which)
+        turned = 1.0 if closing is None else self._effective(closing, which)
         coefficients = forces / turned
-        return (self._clip(coefficients, which) - coefficients) * turned
+        lost = (self._clip(coefficients, which) - coefficients) * turned
+        if not self.elements or closing is None:
+            return lost
+        given = self.forces(self.settings(forces, closing, which), closing, which) - forces
+        return _with(lost, [(one, given[..., one.column]) for one in self.elements])
 
     @property
     def at_rest(self) -> Array:
         """Offsets that keep the closing velocities of `commands` from being 0, shape (m,)."""
         return np.where(self.adjustable, STILL, 1.0)
+
+
+def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
+    """Returns values of the actuators, shape (..., m), with other ones in the columns of elements."""
+    if not columns:
+        return values
+    values = np.array(values)
+    for one, column in columns:
+        values[..., one.column] = column
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class SetColumn:
+    """Elements of N vehicles at one suspension, whose voltages are set.
+
+    Attributes:
+        column: number of the force among the inputs.
+        place: number of the suspension.
+        names: signals of its deflection and velocity at the wheel.
+        states: columns of its states among those of all parts.
+        own: names of its states.
+        start: column of its travel in `CoefficientRange.closing`; its states follow.
+        parts: the elements at the wheel, of one vehicle for any number of runs, or of N.
+        element: the elements together, in their own travel.
+    """
+
+    column: int
+    place: int
+    names: tuple[str, str]
+    states: slice
+    own: tuple[str, ...]
+    start: int
+    parts: Sequence[Any]
+    element: Any
+
+    def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
+        """Returns travels [m] and velocities [m/s] of the elements, from those at the wheel, shapes (..., N)."""
+        if len(self.parts) == 1:
+            return self.parts[0].own_motion(d, v)
+        pairs = [part.own_motion(d[..., i], v[..., i]) for i, part in enumerate(self.parts)]
+        return np.stack([d for d, _ in pairs], axis=-1), np.stack([v for _, v in pairs], axis=-1)
+
+    def motion(self, signal: Callable[[str], Array]) -> tuple[Array, Array, Array]:
+        """Returns travels, velocities and states of the elements, from signals of shape (..., N)."""
+        d, v = self.own_motion(*map(signal, self.names))
+        return d, v, np.stack([signal(name) for name in self.own], axis=-1)
+
+    def _at(self, closing: Array) -> tuple[Array, Array, Array]:
+        """Returns the same from `CoefficientRange.closing`."""
+        own = closing[..., self.start + 1 : self.start + 1 + len(self.own)]
+        return closing[..., self.start], -closing[..., self.column], own
+
+    def pull(self, u: Array | float, closing: Array, which: Array | slice) -> Array:
+        """Returns the pull of some of the elements at voltages beyond those without a command [N], shape (..., N)."""
+        return chosen(self.element, which).element.pull(*self._at(closing), u)
+
+    def push(self, u: Array, closing: Array, which: Array | slice, before: Array | float = 0.0) -> Array:
+        """Returns the force beyond that at voltages `before` [N], shape (..., N)."""
+        return chosen(self.element, which).push(*self._at(closing), u, before)
+
+    def setting(self, forces: Array, closing: Array, which: Array | slice) -> Array:
+        """Returns the voltages beyond those without a command for requested forces [N], shape (..., N)."""
+        return chosen(self.element, which).setting(forces, *self._at(closing))
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:
@@ -113,9 +239,39 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
             low[i, j], high[i, j], nominal[i, j], adjustable[i, j] = damper.low, damper.high, damper.nominal, True
             pairs[i][j] = damper.damper.pair
     assert np.all(adjustable == adjustable[0]), "vehicles side by side have their dampers at the same places"
-    curved, every = CoefficientRange(low, high, nominal, adjustable[0]), [pair for row in pairs for pair in row]
+    curved = CoefficientRange(low, high, nominal, adjustable[0], None, _elements(vehicles))
+    every = [pair for row in pairs for pair in row]
     if not any(every):
         return curved
     shape = [pair and pair.shape.pieces for pair in every]
     soft = [pair and pair.soft.pieces for pair in every]
     return replace(curved, bent=(Pieces.stacked(shape, high.shape), Pieces.stacked(soft, high.shape)))
+
+
+def _elements(vehicles: Sequence[Any]) -> tuple[SetColumn, ...]:
+    """Returns the elements of N vehicles whose voltages are set."""
+    first, start, columns = vehicles[0], len(vehicles[0].linear_model.inputs), list[SetColumn]()
+    dampers, states = {one.force: one for one in first.parts.adjustable}, 0
+    same = all(vehicle is first for vehicle in vehicles)
+    for k, one in enumerate(first.parts):
+        n, before = len(one.part.states), states
+        states += n
+        damper = dampers.get(one.place.force)
+        if damper is None or getattr(damper.damper, "name", "") != one.element or not one.element:
+            continue
+        parts = [vehicle.parts[k].part for vehicle in (vehicles[:1] if same else vehicles)]
+        own = [getattr(part, "part", part) for part in parts]
+        columns.append(
+            SetColumn(
+                first.linear_model.inputs.index(damper.force),
+                first.kind.suspensions.index(one.place),
+                (one.deflection, one.place.velocity.name),
+                slice(before, states),
+                tuple(signal.name for signal in one.states),
+                start,
+                parts,
+                merged(own, (len(own),)),
+            )
+        )
+        start += 1 + n
+    return tuple(columns)

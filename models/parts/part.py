@@ -109,6 +109,7 @@ class Part(ABC):
 
     states: ClassVar[tuple["Signal", ...]] = ()  # its own states, 0 at rest; the vehicle's signals have element and corner, too
     inputs: ClassVar[int] = 0
+    settable: ClassVar[tuple[Number, Number] | None] = None  # least and largest input that a controller sets; None without
     replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
     reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
     contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
@@ -130,6 +131,10 @@ class Part(ABC):
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the rates of its states, shape (..., n). Arguments as for `pull`."""
         return np.zeros((*np.shape(d), 0))
+
+    def divisor(self, u: Array | float) -> Any:
+        """Returns a positive number, linear in the input, by which `pull` times the number is a parabola in the input."""
+        return 1.0
 
     def stored(self, d: Array, z: Any = None) -> Array:
         """Returns the stored energy [J], shape (...)."""
@@ -207,6 +212,10 @@ class Part(ABC):
         force = self.pull(*((0 * x, x) if self.argument == "velocity" else (x, 0 * x)))
         slope = line.damping if self.argument == "velocity" else line.stiffness
         return ForceCurve(x, force, float(slope), self.words)
+
+    def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
+        """Returns travel [m] and velocity [m/s] between the part's own ends, shapes (...), from those at the wheel."""
+        return d, v
 
     def at_wheel(self, ratio: float) -> "Part | None":
         """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
@@ -368,6 +377,11 @@ class SettablePart(Part):
         return self.damper.c_max - self.nominal
 
     @property
+    def slopes(self) -> tuple[float, float]:
+        """The least and the steepest slope beyond the nominal one [N s/m]."""
+        return self.low, self.steepest_slope - self.nominal
+
+    @property
     def steepest_slope(self) -> float:
         """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
         pair = self.damper.pair
@@ -495,6 +509,18 @@ class Stack:
             own, inputs = None if z is None else z[*at, rows], u if np.ndim(u) == 0 else u[*at, rows]
             total[*at, rows] = of(part, d[*at, rows], v[*at, rows], own, inputs)
         return total
+
+
+def chosen(part: Any, which: Array | slice) -> Any:
+    """Returns a part of N runs for some of these, from a part whose numbers may be arrays of shape (N,)."""
+    if isinstance(which, slice):
+        return part
+    own = object.__new__(type(part))
+    for one in fields(part):
+        value = getattr(part, one.name)
+        of_runs = isinstance(value, np.ndarray) and value.ndim
+        vars(own)[one.name] = value[which] if of_runs else chosen(value, which) if isinstance(value, Part) else value
+    return own
 
 
 def alike(one: Part, other: Part) -> bool:

@@ -101,9 +101,12 @@ class AtRatio(Part):
     def _lift(self) -> Any:  # of a load per ratio
         return self.load / self.table.at_rest
 
-    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+    def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
         ratio, travel = self.table.ratio_and_travel(d)
-        return self.part.rate(self.scale * travel, self.scale * ratio * v, z, u)
+        return self.scale * travel, self.scale * ratio * v
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return self.part.rate(*self.own_motion(d, v), z, u)
 
     def stored(self, d: Array, z: Any = None) -> Array:
         travel = self.table.travel(d)

@@ -4,7 +4,7 @@ import importlib
 from functools import cache
 from typing import Any
 
-from models.parts.part import Parts, SuspensionPart
+from models.parts.part import Part, Parts, SuspensionPart
 from models.parts.ratio import AtRatio, Constant
 
 PARTS = {  # name -> module and class
@@ -36,7 +36,7 @@ def parts_of(vehicle: Any) -> Parts:
     placed, kind = list[SuspensionPart](), vehicle.kind
     for place in kind.suspensions:
         rows = [(part, parameter, "") for name in PARTS for part, parameter in part_class(name).of(vehicle, place)]
-        rows += [(one.part, "", one.name) for one in vehicle.elements if place.corner in one.corners]
+        rows += [(_element(vehicle, place, one), "", one.name) for one in vehicle.elements if place.corner in one.corners]
         ratio = place.motion_ratio(vehicle.parameters)
         for part, parameter, name in rows:
             if (table := kind.table_of(place)) is None:
@@ -47,3 +47,13 @@ def parts_of(vehicle: Any) -> Parts:
             load = kind.static_loads(vehicle.parameters)[place.deflection] if carries else 0.0
             placed.append(SuspensionPart(place, AtRatio(part, table, ratio / table.at_rest, load), parameter, ratio, name))
     return Parts(placed)
+
+
+def _element(vehicle: Any, place: Any, one: Any) -> Part:
+    """Returns the part of an element at a suspension, whose voltage a controller may set."""
+    damper = vehicle.dampers.get(place.force)
+    if getattr(damper, "name", None) != one.name:
+        return one.part
+    from models.parts.settable import set_element
+
+    return set_element(damper, place, one.part)

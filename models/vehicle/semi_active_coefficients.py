@@ -67,7 +67,7 @@ def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array,
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
         which: selected vehicles of the N.
     """
-    if of.bent is None:
+    if not of.curved:
         return numbers
     c_min, c_max = of.secant_limits(numbers.c_min, numbers.c_max, closing, which)
     return replace(numbers, c_min=c_min, c_max=c_max)

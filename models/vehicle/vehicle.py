@@ -211,6 +211,10 @@ class Vehicle(Shown):
         curves = settled(self.kind, self.curves, self.parameters, parameters)
         return replace(self, parameters=parameters, curves=curves, **fields)
 
+    def adjusted(self, force: str) -> bool:
+        """Returns True if an adjustable damper replaces the own damper at a force."""
+        return force in self.dampers and self.dampers[force].replaces
+
     @cached_property
     def parts(self) -> Parts:
         """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
@@ -637,11 +641,17 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
         implementation, sampled = section.implementation, section.sampled
     dampers = dict[str, "Damper"]()
+    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
     if given.actuators:
         from models.characteristics.adjustable_range import read_actuators
 
-        forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
         dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)
+    of_elements = dict[str, "Damper"]()
+    if any(one.part.settable is not None for one in elements):
+        from models.parts.settable import element_dampers
+
+        of_elements = element_dampers(elements, vehicle_kind.suspensions, given.actuators, () if forced else limits.of_actuators)
+        dampers |= of_elements
     endings = {force: ending for force, ending in corners.items() if force in dampers}
     controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)
@@ -655,7 +665,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             named.add(part.velocity.name)
     vehicle_kind = vehicle_kind.naming(named)
     if dampers:
-        vehicle_kind = replace(vehicle_kind, signals=(*vehicle_kind.signals, *of_dampers(endings.values())))
+        vehicle_kind = replace(
+            vehicle_kind,
+            signals=(*vehicle_kind.signals, *of_dampers({one: force in of_elements for force, one in endings.items()})),
+        )
     vehicle = Vehicle(
         kind=vehicle_kind,
         parameters=parameters,

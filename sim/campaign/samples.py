@@ -188,10 +188,9 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     quantities: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
-        curved = {one for one in vehicle.parts.adjustable if name in CURVED and one.damper.pair is not None}
-        values: dict[SettablePart, Any] = {
-            one: None if one in curved else getattr(one.damper, name) for one in vehicle.parts.adjustable
-        }
+        own = [one for one in vehicle.parts.adjustable if one.damper.replaces]
+        curved = {one for one in own if name in CURVED and one.damper.pair is not None}
+        values: dict[SettablePart, Any] = {one: None if one in curved else getattr(one.damper, name) for one in own}
         if len(set(values.values())) == 1:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])
         quantities |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}
@@ -208,5 +207,6 @@ def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
         for force in known[name][1]:
             dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
     elements = tuple(one.sampled(sample) for one in vehicle.elements)
+    dampers = {force: damper.among(elements) for force, damper in dampers.items()}
     parameters = {name: value for name, value in sample.items() if name in vehicle.parameters}
     return vehicle.altered(parameters, dampers=dampers, elements=elements)

@@ -331,7 +331,8 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     """
     campaign, vehicle, lines = plan.campaign, plan.campaign.vehicles[name], headlines(plan.campaign.vehicles[name])
     choice = next(one for one in campaign.roads if one.text == road)
-    if not choice.random or not vehicle.parts.adjustable or any(campaign.samples[name]):
+    own = bool(vehicle.dampers) and all(damper.replaces for damper in vehicle.dampers.values())
+    if not choice.random or not own or any(campaign.samples[name]):
         return np.zeros((0, 2)), {}
     spectrum = choice.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration).spectrum
     assert spectrum is not None, "the road is random"

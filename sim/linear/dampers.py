@@ -32,11 +32,15 @@ def stretching(vehicle: Vehicle) -> Array:
 
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m)."""
+    """Returns the closing velocity of every damper [m/s] at the samples, and 1 of actuators that push, shape (T, m + c).
+
+    Travels and states of elements follow, see `CoefficientRange.closing`.
+    """
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
     travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
-    return of.at_rest - states @ stretching(vehicle).T * MotionRatios([vehicle]).turns(travels)
+    own = states[..., len(vehicle.linear_model.states) - len(vehicle.kind.of_parts) :]
+    return of.closing(states @ stretching(vehicle).T * MotionRatios([vehicle]).turns(travels), travels, own)
 
 
 def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
@@ -69,7 +73,9 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
         inputs: forces that act [N], shape (T, m).
     """
     of = range_of([vehicle])
-    closing = of.at_rest - states @ stretching(vehicle).T
+    model, own = vehicle.linear_model, len(vehicle.kind.of_parts)
+    travels = states @ np.array([np.isin(model.states, one.deflection) for one in vehicle.kind.suspensions], dtype=float).T
+    closing = of.closing(states @ stretching(vehicle).T, travels, states[:, len(model.states) - own :])
     commands = of.commands(np.concatenate([inputs, closing], axis=-1)[:, None])[:, 0]
     return damper_signals(vehicle, *np.split(commands, 2, axis=-1))
 

@@ -397,13 +397,12 @@ def largest_timestep(vehicle: Vehicle) -> float:
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
     if vehicle.dampers:
-        from models.parts.damper_range import range_of
         from sim.linear.dampers import stretching
 
-        of, V = range_of([vehicle]), stretching(vehicle)
-        steepest = {adjustable.force: adjustable.steepest_slope - adjustable.nominal for adjustable in vehicle.parts.adjustable}
-        firm = np.array([steepest.get(force, 0.0) for force in forces])
-        systems += [A - (vehicle.linear_model.B * d) @ V for d in (np.where(of.adjustable, of.low[0], 0.0), firm)]
+        V = stretching(vehicle)
+        slopes = {one.force: one.slopes for one in vehicle.parts.adjustable}
+        ends = np.array([slopes.get(force, (0.0, 0.0)) for force in forces]).T
+        systems += [A - (vehicle.linear_model.B * d) @ V for d in ends]
         systems += [np.array([[-damper.bandwidth]]) for damper in vehicle.dampers.values() if damper.bandwidth is not None]
     return min(_largest_timestep(system) for system in systems)
 

@@ -27,7 +27,7 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import kept_signals
 from models.laws.anti_windup import anti_windup_gain
 from models.laws.linear import LinearLaw
-from models.parts.damper_range import range_of
+from models.parts.damper_range import CoefficientRange, range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
@@ -161,6 +161,12 @@ class Stepper:
         x = (xi + heights @ self.model.jump.T)[..., : len(self._vehicle.linear_model.states)]
         return x @ self._stretching.T * self.ratios.turns(travels)
 
+    def closing(self, of: CoefficientRange, xi: Array, heights: Array) -> Array:
+        """Returns `CoefficientRange.closing`; arguments as for `pulls`."""
+        travels = (xi @ self._rows + heights @ self._of_road)[..., : self._s] if of.elements else xi[..., : self._s]
+        last = len(self._vehicle.linear_model.states)
+        return of.closing(self.speeds(xi, heights), travels, xi[..., last - self._own : last])
+
     def response(self, road: RoadInput, xi: Array, inputs: Array, missing: Array) -> Array:
         """Returns all signals of a run, shape (T, S).
 
@@ -180,6 +186,10 @@ class Stepper:
             for one in vehicle.parts.adjustable:
                 j = vehicle.linear_model.inputs.index(one.force)
                 beside[one.force] = -coefficients[:, j] * one.shape(speeds[:, j])
+            of = range_of([vehicle])
+            if of.elements:
+                given = of.forces(coefficients, self.closing(of, xi, road.heights))
+                beside |= {model.inputs[one.column]: given[:, one.column] for one in of.elements}
         response = response_of(model, road, x, inputs, beyond, beside)
         for name, parts in vehicle.kind.combined.items() if vehicle.dampers else ():  # which may have the forces of dampers
             total = sum((share * response[part] for part, share in parts.items()), np.zeros(len(xi)))
@@ -334,7 +344,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
                 requested, kept = laws(k // period, xi, now, pulls, kept)
                 waiting[k + late] = (requested, lost)
                 if of is not None:
-                    closing = of.at_rest - steps.speeds(xi, heights[k])
+                    closing = steps.closing(of, xi, heights[k])
                     if laws.states:
                         kept = kept + np.vecmat(of.clipped_off(requested, closing), laws.windup)
                     waiting[k + late] = np.split(of.commands(np.concatenate([requested, closing], axis=1)), 2, axis=1)

@@ -18,8 +18,17 @@ if TYPE_CHECKING:
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the suspensions' closing velocities, one per input; empty without adjustable dampers."""
-    return tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs) if vehicle.dampers else ()
+    """Returns the names of the suspensions' closing velocities, one per input, and of travel and states of elements that are set.
+
+    They are empty without adjustable dampers. See `CoefficientRange.closing`.
+    """
+    if not vehicle.dampers:
+        return ()
+    from models.parts.damper_range import range_of
+
+    closing = tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs)
+    more = (f"{name} of {closing[one.column]}" for one in range_of([vehicle]).elements for name in ("travel", *one.own))
+    return (*closing, *more)
 
 
 class Actuators:
@@ -32,11 +41,11 @@ class Actuators:
     Attributes:
         forces: number m of forces.
         size: number of commands.
-        closing: map from (qpos, qvel) to the closing velocity of every suspension, shape (m, nq + nv), 0 for actuators that push;
-            (0, nq + nv) without adjustable dampers.
-        at_rest: offsets that keep the closing velocities from being 0, shape (m,) or (0,).
+        closing: map from (qpos, qvel) to the closing velocity of every suspension, shape (m + c, nq + nv), 0 for actuators that
+            push and for the travels and states of elements that are set; (0, nq + nv) without adjustable dampers.
+        at_rest: offsets that keep the closing velocities from being 0, shape (m + c,) or (0,).
         lags: True if some coefficient lags behind its command.
-        over_travel: True if motion ratios of adjustable dampers change with travel.
+        over_travel: True if motion ratios of adjustable dampers change with travel, or if elements are set.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
@@ -51,9 +60,11 @@ class Actuators:
 
         self.size, self._of = 2 * self.forces, range_of(vehicles)
         adjustable, turning = self._of.adjustable, self._ratios.over_travel
-        self.closing, self.at_rest = np.zeros((self.forces, readout.of_state.shape[1])), self._of.at_rest
-        self.closing[adjustable, -readout.stretching.shape[1] :] = -readout.stretching[adjustable]
-        self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning)
+        more = len(closing_names(first)) - self.forces
+        self.closing = np.zeros((self.forces + more, readout.of_state.shape[1]))
+        self.at_rest = np.pad(self._of.at_rest, (0, more))
+        self.closing[: self.forces][adjustable, -readout.stretching.shape[1] :] = -readout.stretching[adjustable]
+        self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
         ramps = {
             one.force: one.damper.pair.ramps for one in first.parts.adjustable if one.damper.pair and one.force not in turning
@@ -61,14 +72,19 @@ class Actuators:
         if ramps:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
-    def turn(self, closing: Array, deflections: Array) -> None:
-        """Multiplies the closing velocities of dampers, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
+    def turn(self, closing: Array, deflections: Array, own: Array) -> None:
+        """Multiplies the closing velocities of dampers, which are at the ratios at rest, by r(d) / r(0), in place.
+
+        Writes travels and states of elements, too.
 
         Args:
+            closing: see `CoefficientRange.closing`, shape (N, m + c).
             deflections: of all suspensions [m], shape (N, s).
+            own: own states of all parts, shape (N, k).
         """
         if self._of is not None:
-            closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
+            closing[:, : self.forces] *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
+            closing[:, self.forces :] = self._of.closing(closing[:, : self.forces], deflections, own)[:, self.forces :]
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).
@@ -107,8 +123,13 @@ class Actuators:
             beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
             values[:, names.index(one.coefficient)] = self._of.nominal[:, j] + beyond
             values[:, names.index(one.missing)] = commands[..., self.forces + j]
-            if one.damper.pair is not None or one.force in self._ratios.over_travel:  # its force is that of several actuators
+            several = one.damper.pair is not None or one.force in self._ratios.over_travel  # actuators that give its force
+            if several and one.damper.replaces:
                 deflection, velocity = parts[one.force]
                 speeds = self._ratios.of(one.force, values[:, deflection]) * values[:, names.index(velocity)]
                 for n, (other, v) in enumerate(zip(self.vehicles, speeds.T, strict=True)):
                     values[:, names.index(one.force), n] = -beyond[:, n] * other.parts.adjustable[i].shape(v)
+        for one in self._of.elements:
+            j, motion = one.column, one.motion(lambda name: values[:, names.index(name)])
+            beyond = commands[..., j] if self._lagging[j] < 0 else activations[..., self._lagging[j]]
+            values[:, names.index(inputs[j])] = one.element.push(*motion, beyond)

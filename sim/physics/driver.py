@@ -210,7 +210,7 @@ class SemiActiveDriver:
         self._range = range_of(vehicles)
         self._numbers_at = partial(numbers_at, numbers_of(self._laws, vehicles), self._range)
         self._signals = len(self.measured)
-        if self._range.bent is not None:
+        if self._range.curved:
             self.measured = (*self.measured, *closing_names(vehicles[0]))
         return np.zeros((len(vehicles), 0))
 

@@ -46,6 +46,7 @@ from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
+from models.parts.damper_range import range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
@@ -58,6 +59,7 @@ from sim.response.response import Response
 
 if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart
+    from models.parts.settable import SetElement
 
 # Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
 # vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
@@ -166,13 +168,23 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
         length = path.length(number)
         lost += length.integral(damping[number] * v**2 for _, v in length.stages)
     start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
+    inputs, set_elements = vehicle.linear_model.inputs, _set_elements(vehicle)
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
         start += _stored(one, length.d, z) + _kinetic(one, length.d, length.v)
         # States do not jump with the road.
         end += _stored(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
-        lost += _lost(one, length, z)
+        if (damper := set_elements.get(id(one))) is None:
+            lost += _lost(one, length, z)
+            continue
+        assert z is not None, "a hysteresis has a state"
+        by_coil, jumps, beyond = _by_coil(damper, response, z)
+        work[:, inputs.index(damper.force)] = by_coil + jumps
+        start += beyond
+        end += beyond[1:] - jumps
+        by_road -= jumps
+        lost += _lost(one, length, z, _settings(damper, response, length.h)) + by_coil - (beyond[1:] - jumps - beyond[:-1])
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
@@ -199,21 +211,52 @@ def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | 
     return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
 
 
-def _lost(one: "SuspensionPart", length: "_Length", z: Array | None) -> Array | float:
+def _set_elements(vehicle: Vehicle) -> "dict[int, SetElement]":
+    """Returns the elements whose voltage is set, each by the identity of its part."""
+    if not (vehicle.dampers and vehicle.elements):
+        return {}
+    from models.parts.settable import SetElement
+
+    own = ((one, getattr(one.part, "part", one.part)) for one in vehicle.parts)
+    return {id(one): part for one, part in own if isinstance(part, SetElement)}
+
+
+def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
+    """Returns the work of the coil of an element over every step and at its end [J], and its stored energy beyond that without a
+    command at the samples [J], shapes (T - 1,), (T - 1,) and (T,).
+
+    A change of the voltage changes the energy that the hysteresis stores.
+    """
+    u, none = response[one.coefficient] - one.nominal, np.zeros(len(z))
+
+    def stored(some: slice, u: Array) -> Array:
+        return one.element.stored(none[some], z[some], u) - one.element.stored(none[some], z[some])
+
+    early, late, held = slice(-1), slice(1, None), u[1:] if one.damper.bandwidth else u[:-1]
+    changes = [stored(some, held) - stored(some, u[:-1]) for some in (early, late)]
+    return (changes[0] + changes[1]) / 2, stored(late, u[1:]) - stored(late, held), stored(slice(None), u)
+
+
+def _lost(
+    one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3
+) -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
 
     It leaves out the vehicle's own damper, and the force of an input, whose work is counted apart.
+
+    Args:
+        inputs: inputs of an element that is set, at the start, in the middle and at the end of every step.
     """
     if one.part.stores:
         return 0.0
     own = (None,) * 3
     if z is not None:
         (d, v), _, (after, w) = length.stages
-        turned = length.h / 8 * (one.part.rate(d, v, z[:-1]) - one.part.rate(after, w, z[1:]))
+        turned = length.h / 8 * (one.part.rate(d, v, z[:-1], inputs[0]) - one.part.rate(after, w, z[1:], inputs[2]))
         own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as the lengths
-    stages = [(d, v, z) for (d, v), z in zip(length.stages, own, strict=True)]
-    pulls = [one.part.beyond(d, v, z) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z in stages]
-    taken = length.integral(v * pull for (_, v, _), pull in zip(stages, pulls, strict=True))
+    stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
+    pulls = [one.part.beyond(d, v, z, u) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
+    taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
     return taken - (_stored(one, length.after, own[2]) - _stored(one, length.d[:-1], own[0]))
 
 
@@ -255,11 +298,18 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
+    elements = {inputs[one.column]: one for one in range_of([vehicle]).elements} if dampers else {}
     acting, work, ratios = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
     for j, name in enumerate(inputs):
         length, ratio = path.stroke(vehicle, name), partial(ratios.of, name)
         speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
-        if name in dampers:
+        if name in elements:
+            one = elements[name]
+            d, v, z = one.motion(lambda signal: response[signal])
+            u = response[dampers[name].coefficient] - dampers[name].nominal
+            power = (one.element.pull(d, v, z) - response[name]) * v - one.element.element.storing(d, v, z, u)
+            least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
+        elif name in dampers:
             work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
             own = ratio(length.d) * length.v
             power = (dampers[name].ramp(own, 0.0) - response[name]) * own
@@ -275,11 +325,16 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
 def _powers(one: "SettablePart", response: Response, speeds: Sequence[Array], h: float) -> list[Array]:
     """Returns the power of an adjustable damper beyond the nominal one at its own speeds at the stages [W], each (T - 1,)."""
+    settings = _settings(one, response, h)
+    return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
+
+
+def _settings(one: "SettablePart", response: Response, h: float) -> tuple[Array, Array, Array]:
+    """Returns the settings of an adjustable damper beyond the nominal one at the stages, each (T - 1,)."""
     beyond, bandwidth = response[one.coefficient] - one.nominal, one.damper.bandwidth
     before, after = beyond[:-1], beyond[1:] if bandwidth else beyond[:-1]
     share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
-    settings = (before, before + share * (after - before), after)
-    return [-c * v * one.shape(v) for c, v in zip(settings, speeds, strict=True)]
+    return before, before + share * (after - before), after
 
 
 def _by_tyres(path: "_Path", road: RoadInput) -> tuple[Array, Array]:

@@ -329,7 +329,7 @@ class _Loop:
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
                     if over_travel is not None:
-                        actuators.turn(signals[:, -actuators.forces :], over_travel.deflections())
+                        actuators.turn(signals[:, -len(actuators.at_rest) :], over_travel.deflections(), own)
                 for computer in computers:
                     computer.step(k, signals, commands)
                 acting = commands

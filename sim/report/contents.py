@@ -229,6 +229,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
     dampers = {
         f"[actuators] {name}{one.ending}": value
         for one in vehicle.parts.adjustable
+        if one.damper.replaces
         for name, value in (("c_min", one.damper.c_min), ("c_max", one.damper.c_max), ("bandwidth", one.damper.bandwidth))
         if value is not None
     }

@@ -26,6 +26,12 @@ class Jumps:
         self.shapes = {
             one.force: [other.parts.adjustable[i].shape for other in vehicles] for i, one in enumerate(vehicle.parts.adjustable)
         }
+        self.elements = {}
+        if dampers:
+            from models.parts.damper_range import range_of
+
+            self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
+        self.places = index
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
         rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
@@ -65,13 +71,21 @@ class Jumps:
         """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""
         if force not in self.coefficient:
             return self._change(self.index[force], values)
+        if force in self.elements:
+            one, (now, last) = self.elements[force], self._pair(self.coefficient[force], values)
+            return one.element.push(*one.motion(lambda name: values[:, self.places[name]]), now.T, last.T).T
         parts = [share * values[:, place].T for place, share in self.rates[force].items()]
         shaped = [shape(v) for shape, v in zip(self.shapes[force], ratio * np.sum(parts, axis=0), strict=True)]
         return -self._change(self.coefficient[force], values) * np.stack(shaped)
 
     def _change(self, place: int, values: Array) -> Array:
         """Returns the change of a signal since the last sample, shape (N, B)."""
+        now, last = self._pair(place, values)
+        return now - last
+
+    def _pair(self, place: int, values: Array) -> tuple[Array, Array]:
+        """Returns a signal, and the signal at the last sample, shapes (N, B)."""
         now = values[:, place].T
         last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
         self.before[place] = now[:, -1:].copy()
-        return now - last
+        return now, last

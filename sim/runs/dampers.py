@@ -20,7 +20,7 @@ class Shortfall:
     Attributes:
         rms: rms of the missing force, over that of the requested one; 0 if no force was requested.
         time: share of the samples with missing force.
-        softest, hardest: smallest and largest coefficient of the damper [N s/m].
+        softest, hardest: smallest and largest coefficient of the damper [N s/m], or voltage [V].
         late: shortfall like `rms`, including the lag of the valve, or None if the valve has no lag.
     """
 
@@ -41,12 +41,12 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     late = round(how.delay * period)
     decided = np.arange(0, len(whole.time) - late, period)
     closing, m = closing_velocities(vehicle, whole), len(vehicle.linear_model.inputs)
-    speeds = -range_of([vehicle]).effective_velocity(closing[:, None])[:, 0]
+    given = range_of([vehicle]).forces(commands[decided + late, None, :m], closing[decided, None])[:, 0]
     by_force = {}
     for one in vehicle.parts.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
         missing = squarable(commands[decided + late, m + j])
-        requested, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
+        requested, c = missing + given[:, j], whole[one.coefficient]
         most = float(np.sqrt(np.mean(requested**2)))
         share = float(np.sqrt(np.mean(missing**2))) / most if most else 0.0
         kept = None

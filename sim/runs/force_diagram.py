@@ -9,6 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import Dash
 from models.kinds.signals import Signal
+from models.parts.damper_range import range_of
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
@@ -111,6 +112,18 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
     model = vehicle.linear_model
     row = stretching(vehicle)[model.inputs.index(one.force)]
     place = one.ending.replace("_", " ")
+    elements = {model.inputs[other.column]: other for other in range_of([vehicle]).elements}
+    labels, line = ("c_min", "c_max"), one.nominal
+
+    def force(x: Array, response: Response) -> Array:
+        return one.ramp(x, 0.0) - response[one.force]
+
+    if (element := elements.get(one.force)) is not None:
+        labels, line = ("lowest voltage", "largest voltage"), float(element.element.line.damping)
+
+        def force(x: Array, response: Response) -> Array:
+            return element.element.pull(*element.motion(lambda name: response[name])) - response[one.force]
+
     return Diagram(
         f"adjustable damper{place}",
         f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
@@ -121,11 +134,11 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
             @ row
             * MotionRatios([vehicle]).turn(one.force, response[vehicle.kind.pushed(one.force)])
         ),
-        lambda x, response: one.ramp(x, 0.0) - response[one.force],
+        force,
         (
-            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.ramp(x, one.low)),
-            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: one.ramp(x, one.high)),
-            _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: one.nominal * x),
+            _line("damper", one.ending, labels[0], "solid", 1.8, lambda x: one.ramp(x, one.low)),
+            _line("damper", one.ending, labels[1], "solid", 1.8, lambda x: one.ramp(x, one.high)),
+            _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: line * x),
         ),
     )
 

@@ -505,15 +505,18 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
     if delayed:
-        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on the damping coefficient"
+        of_voltage = not all(one.replaces for one in run.vehicle.dampers.values())
+        what = "the voltage" if of_voltage else "the damping coefficient"
+        acts = f"{' and '.join(delayed)} act{'s' * (len(delayed) == 1)} on {what}"
         texts.append(f"{acts}, not on the force, which follows the present suspension velocity")
     for force, one in shortfalls(run.vehicle, run.physics).items():
         most = max(most, one.rms)
         if one.late:
             texts.append(f"{names[force]}: the valve's lag removes {percent(one.late)} (rms) of the requested force")
         if one.time:
+            setting = replace(COEFFICIENT, unit=run.vehicle.kind.signal(names[force]).unit)
             texts.append(
-                f"{names[force]} is between {COEFFICIENT.digits(one.softest)} and {COEFFICIENT.text(one.hardest)}; "
+                f"{names[force]} is between {setting.digits(one.softest)} and {setting.text(one.hardest)}; "
                 f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
             )
     if most > HALF and isinstance(run.controller, Controller):

@@ -103,7 +103,7 @@ def equivalent_line(
 
 def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of elements with a force that differs from a line and depends on more than one signal."""
-    bent = (one for one in vehicle.parts if one.part.bent and not (one.part.contact or one.part.inputs))
+    bent = (one for one in vehicle.parts if one.part.bent and not (one.part.contact or (one.part.inputs and not one.part.states)))
     return tuple(dict.fromkeys(one.name for one in bent if one.part.curve is None))
 
 

@@ -41,7 +41,7 @@ from tests.support.commands import attacks, main_of, prose
 from tests.support.mechanism import CORNERS, Mechanism, acting, axle, integrated, rk4, static_loads, straight
 
 EXACT, FAULT = 1e-12, 1.02
-ELEMENTS = ("element", "mount", "inertia")  # slots, in the order of the file
+ELEMENTS = ("element", "mount", "inertia", "input")  # slots, in the order of the file
 SPRING, DAMPER = 25e3, 1800.0  # N/m, N s/m of suspensions without curves
 AXLES = {
     "": 1.0,
@@ -73,6 +73,7 @@ class Row:
             the state z stays.
         rate: z' of a part with a state, (d, v, z) -> arrays; z and z' have a last axis for several `states`.
         friction: True if the part's line leaves out its last state.
+        volts: True if its input is a voltage, the last argument of its law and its rate.
     """
 
     part: str
@@ -87,6 +88,7 @@ class Row:
     inertance: float = 0.0
     states: int = 1
     friction: bool = False
+    volts: bool = False
 
 
 # Values of the rows.
@@ -131,10 +133,10 @@ def surface(d, v, u):
     return low + (high - low) * (v - at) / (to - at)
 
 
-def dashpot(d, v, z):
+def dashpot(d, v, z, volts=1.5):
     """Rates of y and z of the modified Bouc-Wen model, as in its row."""
     y, x = np.moveaxis(z, -1, 0)
-    speed = (35e3 * x + 350.0 * v + 2e3 * (d - y)) / (350.0 + 4500.0)
+    speed = ((5e3 + 2e4 * volts) * x + (200.0 + 100.0 * volts) * v + 2e3 * (d - y)) / (3200.0 + 1100.0 * volts)
     w = v - speed
     return np.stack([speed, 3 * w - 2e3 * np.abs(w) * np.abs(x) ** 0.7 * x - 1e3 * w * np.abs(x) ** 1.7], axis=-1)
 
@@ -284,6 +286,21 @@ ROWS = {
             [(0.1, 0.05, 0, 38.41 + 57.42, 1.0), (-0.1, -0.5, 0, -384.1 - 57.42, -1.0)],
         ),
     ),
+    "modified Bouc-Wen with a set voltage": Row(
+        "modified_bouc_wen", "input",
+        lambda s, e: f"c0 = {200.0 * s}\nc0_per_volt = {100.0 * s}\nc1 = {3e3 * s}\nc1_per_volt = {1e3 * s}\nk0 = {2e3 * s}\n"
+        f"k1 = {500.0 * s}\nalpha = {5e3 * s}\nalpha_per_volt = {2e4 * s * e}\nvoltage = 0.5\nlargest_voltage = 2.5\n"
+        f"bandwidth = {90.0 * s}\nA = 3.0\ngamma = 2e3\nbeta = 1e3\nexponent = 1.7",
+        lambda d, v, z, u: (3500 + 1e3 * u) * dashpot(d, v, z, 0.5 + u)[..., 0] + 500.0 * d, (), (0.0,),
+        rate=lambda d, v, z, u: dashpot(d, v, z, 0.5 + u), states=2, friction=True, volts=True,
+    ),
+    "Dahl with a set voltage": Row(
+        "dahl", "input",
+        lambda s, e: f"damping = {300.0 * s}\ndamping_per_volt = {200.0 * s}\nforce = {100.0 * s}\n"
+        f"force_per_volt = {400.0 * s * e}\nlargest_voltage = 2.0\nrho = 300.0",
+        lambda d, v, z, u: (300 + 200 * u) * v + (100 + 400 * u) * z, (), (0.0,),
+        rate=lambda d, v, z, u: 300.0 * (v - np.abs(v) * z), friction=True, volts=True,
+    ),
     "inerter": Row(
         "inerter", "inertia", lambda s, e: f"inertance = {30.0 * s * e}", lambda d, v, u: 0.0 * d, inertance=30.0,
         known=(  # b r r' v^2 on a rocker of 0.7 + d / (5 m)
@@ -354,7 +371,7 @@ def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault:
             sections.setdefault(section, []).append(f"suspension_{name}{end} = {value}")
         if "stop" in by_slot:
             sections[f"limits{end.replace('_', '.')}"] = [by_slot["stop"].file(s, fault)]
-        for slot in [one for one in ELEMENTS if one in by_slot]:
+        for slot in [one for one in ELEMENTS if one in by_slot and (one != "input" or by_slot[one].volts)]:
             at = f'at = ["{end.removeprefix("_")}"]' * bool(end)
             own = by_slot[slot]
             sections[f"parts.{slot}{end}"] = [f'kind = "{own.part}"\n{own.file(s, fault)}\n{at}']
@@ -367,7 +384,7 @@ def car(kind: str, names: tuple[str, ...], ratio: str, size: float = 1.0, fault:
         if ratio == "over travel":
             sections.setdefault("curves", []).append(f"motion_ratio{end} = {{ deflection = {x}, ratio = {r} }}")
     for end in CORNERS[kind]:
-        if "input" in by_slot and by_slot["input"].part != "actuator":
+        if "input" in by_slot and by_slot["input"].part == "adjustable damper":
             own = by_slot["input"].file(size * AXLES[axle(end)], fault)
             sections[f"actuators{end.replace('_', '.', 1)}"] = [f'kind = "damper"\n{own}']
     own = "\n".join(sections.pop("parameters", []))
@@ -385,7 +402,7 @@ def with_states(names: tuple[str, ...]) -> list[tuple[Row, int | slice]]:
     return [(row, at if row.states == 1 else slice(at, at + row.states)) for row, at in zip(rows, ends, strict=False)]
 
 
-def own_law(names: tuple[str, ...], d, v, u, z):
+def own_law(names: tuple[str, ...], d, v, u, z, volts):
     """The pull of all in a suspension [N], in its own travel, and the shape of its input, for a factor of 1."""
     rows = {ROWS[name].slot: ROWS[name] for name in names}
     spring = rows["spring"].law(d, v, u) if "spring" in rows else SPRING * d
@@ -393,8 +410,10 @@ def own_law(names: tuple[str, ...], d, v, u, z):
     if "adjustable damper with curves" in names:  # a curve in parallel adds what it has beyond its line
         nominal = SOFT(v) + (DAMPER - SLOPES[0]) * setting(v)
         damper = nominal + damper - DAMPER * v
-    more = sum(rows[slot].law(d, v, u) for slot in ("stop", *ELEMENTS) if slot in rows and rows[slot].rate is None)
-    more = more + sum(row.law(d, v, z[..., i]) for row, i in with_states(names))
+    more = sum(rows[slot].law(d, v, u) for slot in ("stop", *ELEMENTS[:-1]) if slot in rows and rows[slot].rate is None)
+    more = more + sum(row.law(d, v, z[..., i], *[volts] * row.volts) for row, i in with_states(names))
+    if any(ROWS[name].volts for name in names):
+        return spring + damper + more
     return spring + damper + more + (rows["input"].law(d, v, u) if "input" in rows else -u)
 
 
@@ -431,13 +450,13 @@ class Law:
         (r, D), s = self.travel(d), self.size * AXLES[axle(self.end)]
         on = u / s  # forces have a factor, coefficients and actuators have not
         of_inertance = self.inertance(d) * self.ratios[0].derivative()(d) / r * np.square(v)
-        return s * r * own_law(self.names, D, r * v, on, z) - (r / self.travel(0.0)[0] - 1) * self.load + of_inertance
+        return s * r * own_law(self.names, D, r * v, on, z, u) - (r / self.travel(0.0)[0] - 1) * self.load + of_inertance
 
-    def rates(self, d, v, z):
+    def rates(self, d, v, z, u: np.ndarray | float = 0.0):
         """Rates of the states, shape (..., n)."""
         (r, D), found = self.travel(d), np.zeros(np.shape(z))
         for row, i in with_states(self.names):
-            found[..., i] = cast(Callable, row.rate)(D, r * v, z[..., i])
+            found[..., i] = cast(Callable, row.rate)(D, r * v, z[..., i], *[u] * row.volts)
         return found
 
     def inertance(self, d):
@@ -480,8 +499,8 @@ def test_every_part_has_a_row():
 
 
 def bare(part: Part) -> Part:
-    """The part without its motion ratio."""
-    return bare(part.part) if isinstance(part, AtRatio) else part
+    """The part without its motion ratio, and the element whose voltage is set."""
+    return bare(part.part) if isinstance(part, AtRatio) else getattr(part, "element", part)
 
 
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.known])
@@ -579,11 +598,11 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
         assert rates[place.damping] + damping == pytest.approx(float(slope(partial(law, at))[0]), rel=1e-7)
 
 
-def followed(part: Part, d, v, h: float):
+def followed(part: Part, d, v, h: float, u: float = 0.0):
     """The states of a part from rest along a path, shape (T, n), by steps of RK4 over two samples, and Hermite's cubics."""
     z = np.zeros((len(d), len(part.states)))
     for k in range(0, len(d) - 2, 2 if part.states else len(d)):
-        at = [partial(part.rate, d[k + i], v[k + i]) for i in range(3)]
+        at = [partial(part.rate, d[k + i], v[k + i], u=u) for i in range(3)]
         first = at[0](z[k])
         second = at[1](z[k] + h * first)
         third = at[1](z[k] + h * second)
@@ -603,11 +622,19 @@ def test_energy_is_stored_or_lost(kind, names, ratio):
     for part in [one.part for one in vehicle.parts]:
         if part.inputs and not vehicle.dampers:
             continue  # an actuator gives and takes
-        z = followed(part, d, v, t[1] / 5.0)
-        for u in (0.0, *((bare(part).low, bare(part).high) if part.inputs else ())):
+        own: Any = bare(part)
+        for u in (0.0, *((own.settable or (own.low, own.high)) if part.inputs else ())):
+            z = followed(part, d, v, t[1] / 5.0, u)
             force = part.pull(d, v, z, np.full_like(d, u)) - part.centrifugal(d, v)  # whose work is kinetic energy
             supplied = cumulative_simpson(force * v, x=t / 5.0, initial=0.0)
-            lost = supplied - (part.stored(d, z) - part.stored(d[:1], z[:1]))
+            stored = own.stored(part.own_motion(d, v)[0], z, u) if own.settable else part.stored(d, z)
+            lost = supplied - (stored - stored[0])
+            if own.settable:
+                storing = own.storing(*part.own_motion(d, v), z, u)
+                assert (
+                    np.abs(cumulative_simpson(storing, x=t / 5.0, initial=0.0) - stored + stored[0]).max()
+                    < 1e-4 * np.abs(stored).max()
+                )
             scale = np.abs(supplied).max() + 1e-9
             assert np.diff(lost).min() > -1e-5 * scale
             assert (abs(lost[-1]) < 1e-5 * scale) == part.stores
@@ -729,7 +756,7 @@ def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
             for name, cells in reached.items():
                 for knots, at, found in zip((ROWS[name].d, ROWS[name].v), (D, r * rate), cells, strict=True):
                     found.update(np.searchsorted(sorted(knots), at).tolist())
-        rates[:] = [law.rates(*at) for law, *at in zip(own, d.T, v.T, z, strict=True)]
+        rates[:] = [law.rates(*at) for law, *at in zip(own, d.T, v.T, z, u.T, strict=True)]
         return np.stack([law(*at) for law, *at in zip(own, d.T, v.T, u.T, z, strict=True)], axis=-1)
 
     rates = list[np.ndarray]()

@@ -279,7 +279,7 @@ def integrated(on: RoadInput, force, knots, u, commands, lag, inertance=lambda d
         f, b, t = float(force(d, v, held, z)), float(inertance(d)), x[1] - road
         masses = np.diag([p["sprung_mass"], p["unsprung_mass"]]) + b * np.array([[1, -1], [-1, 1]])
         rates = np.linalg.solve(masses, [-f, f - p["tyre_stiffness"] * min(t, static)])
-        return [x[2], x[3], *rates, *force.rates(d, v, z)]
+        return [x[2], x[3], *rates, *force.rates(d, v, z, held)]
 
     events = [lambda _, x: x[1] - road - static]
     events += [lambda _, x, knot=knot: float(knot(x[0] - x[1], x[2] - x[3])) for knot in knots]

@@ -6,7 +6,7 @@ At a voltage u, c0 and alpha are c0 + c0_per_volt u and alpha + alpha_per_volt u
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.common.printed import rough
 from models.common.schema import SI, Flag, Section
 from models.kinds.signals import Signal
-from models.parts.elements.hysteresis import FAST, Hysteretic
+from models.parts.elements.hysteresis import Bandwidth, Hysteretic, LargestVoltage, Voltage
 from models.parts.part import Number
 
 
@@ -23,6 +23,7 @@ class BoucWen(Hysteretic, Section):
     """Hysteresis beside a spring and a damper."""
 
     states = (Signal("hysteresis", "z", "m", "hysteretic displacement"),)
+    by_voltage: ClassVar[tuple[str, ...]] = ("alpha", "c0")
 
     alpha: Annotated[float, SI("N/m", "force per hysteretic displacement z", 0.0)]
     beta: Annotated[float, SI("1", "factor of |v| |z|^(n-1) z in the rate of z, in m^-n")]
@@ -33,29 +34,22 @@ class BoucWen(Hysteretic, Section):
     c0: Annotated[float, SI("N s/m", "damping parallel to the hysteresis", 0.0)] = 0.0
     alpha_per_volt: Annotated[float, SI("N/m/V", "change of alpha with voltage", 0.0)] = 0.0
     c0_per_volt: Annotated[float, SI("N s/m/V", "change of c0 with voltage", 0.0)] = 0.0
-    voltage: Annotated[float, SI("V", "constant voltage; or current in A, with numbers per ampere", 0.0)] = 0.0
+    voltage: Voltage = 0.0
+    largest_voltage: LargestVoltage | None = None
+    bandwidth: Bandwidth | None = None
     friction: Annotated[bool, Flag("true for a damper: designs and norms leave alpha z out, as they do a friction")] = False
 
     @property
     def law(self) -> tuple[Number, Number, Number, Number]:
         return self.A, self.beta, self.gamma, self.exponent
 
-    @property
-    def _now(self) -> tuple[Number, Number]:
-        return self.alpha + self.alpha_per_volt * self.voltage, self.c0 + self.c0_per_volt * self.voltage
-
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        alpha, c0 = self._now
+        alpha, c0 = self.at_voltage(u)
         return self.k0 * d + c0 * v + alpha * z[..., 0]
 
-    def stored(self, d: Array, z: Any = None) -> Array:
-        return self.k0 * np.square(d) / 2 + self._now[0] * self.returned(z[..., 0])
-
-    @property
-    def largest_force(self) -> Number:
-        alpha, c0 = self._now
-        return alpha * self.z_max + c0 * FAST
+    def springs(self, d: Array, z: Array) -> Array:
+        return self.k0 * np.square(d) / 2
 
     @property
     def words(self) -> str:
-        return f"Bouc-Wen hysteresis with a force of up to {rough(self._now[0] * self.z_max)} N"
+        return f"Bouc-Wen hysteresis with a force of up to {rough(self.at_voltage()[0] * self.z_max)} N"

@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.printed import rough
 from models.common.schema import SI, Section
 from models.kinds.signals import Signal
-from models.parts.elements.hysteresis import FAST, Hysteretic
+from models.parts.elements.hysteresis import Bandwidth, Hysteretic, LargestVoltage, Voltage
 from models.parts.part import Number
 
 
@@ -21,6 +21,7 @@ class Dahl(Hysteretic, Section):
     """Damper with Dahl friction."""
 
     states = (Signal("friction", "w", "1", "friction relative to its largest"),)
+    by_voltage: ClassVar[tuple[str, ...]] = ("force", "damping")
     friction: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleVariableOverride]
 
     force: Annotated[float, SI("N", "f, largest friction", 0.0)]
@@ -28,28 +29,21 @@ class Dahl(Hysteretic, Section):
     damping: Annotated[float, SI("N s/m", "c, damping parallel to the friction", 0.0)] = 0.0
     force_per_volt: Annotated[float, SI("N/V", "change of the largest friction with voltage", 0.0)] = 0.0
     damping_per_volt: Annotated[float, SI("N s/m/V", "change of the damping with voltage", 0.0)] = 0.0
-    voltage: Annotated[float, SI("V", "constant voltage; or current in A, with numbers per ampere", 0.0)] = 0.0
+    voltage: Voltage = 0.0
+    largest_voltage: LargestVoltage | None = None
+    bandwidth: Bandwidth | None = None
 
     @property
     def law(self) -> tuple[Number, Number, Number, Number]:
         return self.rho, self.rho, 0.0, 1.0
 
-    @property
-    def _now(self) -> tuple[Number, Number]:
-        return self.force + self.force_per_volt * self.voltage, self.damping + self.damping_per_volt * self.voltage
-
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        force, damping = self._now
+        force, damping = self.at_voltage(u)
         return damping * v + force * z[..., 0]
 
-    def stored(self, d: Array, z: Any = None) -> Array:
-        return self._now[0] * self.returned(z[..., 0])
-
-    @property
-    def largest_force(self) -> Number:
-        force, damping = self._now
-        return force + damping * FAST
+    def springs(self, d: Array, z: Array) -> float:
+        return 0.0
 
     @property
     def words(self) -> str:
-        return f"a damper with Dahl friction of {rough(self._now[0])} N"
+        return f"a damper with Dahl friction of {rough(self.at_voltage()[0])} N"

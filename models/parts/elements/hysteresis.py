@@ -8,6 +8,9 @@ Motion away from z = 0 loses energy, and motion back to z = 0 returns the energy
 
     alpha S(z),    S = integral of x / (A + (b - g) x^n) from 0 to |z|.
 
+At a voltage u, numbers with a key `..._per_volt` are c + c_per_volt u, the force alpha per z among them. A change of the voltage
+changes the stored energy alpha S(z), which is the work of the coil.
+
 At rest z - A d is constant, with d the travel: a mode without decay. No force moves this mode, but a design needs one that
 decays. So linear analysis has the mode -`DECAY` there, which leaves each response from rest as it is.
 """
@@ -15,17 +18,22 @@ decays. So linear analysis has the mode -`DECAY` there, which leaves each respon
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from models.characteristics import LEAVES
 from models.common.arrays import Array
-from models.common.errors import InputError
-from models.parts.part import CURVE, Limit, Line, Number, Part
+from models.common.errors import InputError, listing
+from models.common.schema import SI
+from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
 DECAY = 100.0  # 1/s
 FAST, FASTEST = 1.0, 2.0  # m/s, of a damper: for its largest force, and for how fast its state can be
+
+Voltage = Annotated[float, SI("V", "voltage, constant or without a command; or current in A, with numbers per ampere", 0.0)]
+LargestVoltage = Annotated[float, SI("V", "largest voltage that the suspension's controller sets, from 0; without this key none")]
+Bandwidth = Annotated[float, SI("rad/s", "corner frequency of a first-order lag of the voltage, with largest_voltage")]
 
 
 class Hysteretic(Part):
@@ -33,24 +41,57 @@ class Hysteretic(Part):
 
     Attributes:
         friction: True for a friction, which linear analysis leaves out.
+        by_voltage: names of the numbers that change with the voltage; the first is the force per z.
+        voltage, largest_voltage, bandwidth: see `Voltage`, `LargestVoltage` and `Bandwidth`.
     """
 
+    by_voltage: ClassVar[tuple[str, ...]]
     friction: bool
+    voltage: float
+    largest_voltage: float | None
+    bandwidth: float | None
 
     def __post_init__(self) -> None:
         _, b, g, _ = self.law
         if b + g <= 0:
             raise InputError(f"beta + gamma = {b + g:g} is not allowed; give a sum above 0, which limits the force")
+        if (most := self.largest_voltage) is None:
+            if self.bandwidth is not None:
+                raise InputError("bandwidth has no effect on a constant voltage; omit bandwidth, or give largest_voltage")
+            return
+        if self.voltage > most:
+            raise InputError(
+                f"voltage = {self.voltage:g} V, which acts without a command, is above largest_voltage = {most:g} V; give a "
+                "smaller voltage"
+            )
+        if not any(getattr(self, f"{name}_per_volt") for name in self.by_voltage):
+            numbers = listing(f"{name}_per_volt" for name in self.by_voltage)
+            raise InputError(f"largest_voltage has no effect without {numbers}; give one of these, or omit largest_voltage")
+
+    @property
+    def settable(self) -> tuple[Number, Number] | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        most = self.largest_voltage
+        return None if most is None else (-self.voltage, most - self.voltage)
+
+    def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
+        """Returns the numbers `by_voltage` at voltages u beyond `voltage` [V]."""
+        volts = self.voltage + u
+        return tuple(getattr(self, name) + getattr(self, f"{name}_per_volt") * volts for name in self.by_voltage)
 
     @property
     @abstractmethod
     def law(self) -> tuple[Number, Number, Number, Number]:
         """A, b, g and n."""
 
-    @property
     @abstractmethod
-    def largest_force(self) -> Number:
-        """The force at a steady extension of `FAST`, without that of springs [N]."""
+    def springs(self, d: Array, z: Array) -> Array | float:
+        """Returns the stored energy without that of the hysteresis [J], shape (...)."""
+
+    def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
+        """Returns the force at steady velocities [m/s] without that of springs [N], shape (...)."""
+        z = np.zeros((*np.shape(v), len(self.states)))
+        z[..., -1] = np.sign(v) * self.z_max
+        return self.pull(np.zeros(np.shape(v)), v, z, u)
 
     @property
     def z_max(self) -> Number:
@@ -75,6 +116,17 @@ class Hysteretic(Part):
         A, b, g, n = self.law
         return np.square(z) / (2 * A) * hyp2f1(1.0, 2 / n, 1 + 2 / n, (g - b) / A * np.abs(z) ** n)
 
+    def stored(self, d: Array, z: Any = None, u: Array | float = 0.0) -> Array:
+        """See `Part.stored`; u are voltages beyond `voltage` [V]."""
+        return self.springs(d, z) + self.at_voltage(u)[0] * self.returned(z[..., -1])
+
+    def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
+        """Returns the rate of the stored energy at constant voltages [W], shape (...); the rest of `pull` times v is lost."""
+        A, b, g, n = self.law
+        rates, own = self.rate(d, v, z, u), z[..., -1]
+        of_springs = np.imag(self.springs(d + STEP * 1j * v, z + STEP * 1j * rates)) / STEP
+        return of_springs + self.at_voltage(u)[0] * own * rates[..., -1] / (A + (b - g) * np.abs(own) ** n)
+
     @cached_property
     def line(self) -> Line:
         """See `Part.line`, and the mode above; of a friction without its force."""
@@ -96,7 +148,7 @@ class Hysteretic(Part):
 
     @property
     def range(self) -> float:
-        return float(self.largest_force)
+        return float(self.after_yield(np.array(FAST)))
 
     def limits(self) -> Sequence[Limit]:
         """Returns the force beyond the line of `LEAVES` of the largest one."""

@@ -18,7 +18,7 @@ from models.common.arrays import Array
 from models.common.printed import rough
 from models.common.schema import SI, Section
 from models.kinds.signals import Signal
-from models.parts.elements.hysteresis import FAST, Hysteretic
+from models.parts.elements.hysteresis import Bandwidth, Hysteretic, LargestVoltage, Voltage
 from models.parts.part import Number
 
 
@@ -30,6 +30,7 @@ class ModifiedBoucWen(Hysteretic, Section):
         Signal("dashpot_extension", "y", "m", "extension of the dashpot c1"),
         Signal("hysteresis", "z", "m", "hysteretic displacement"),
     )
+    by_voltage: ClassVar[tuple[str, ...]] = ("alpha", "c0", "c1")
     friction: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleVariableOverride]
 
     alpha: Annotated[float, SI("N/m", "force per hysteretic displacement z", 0.0)]
@@ -44,38 +45,33 @@ class ModifiedBoucWen(Hysteretic, Section):
     alpha_per_volt: Annotated[float, SI("N/m/V", "change of alpha with voltage", 0.0)] = 0.0
     c0_per_volt: Annotated[float, SI("N s/m/V", "change of c0 with voltage", 0.0)] = 0.0
     c1_per_volt: Annotated[float, SI("N s/m/V", "change of c1 with voltage", 0.0)] = 0.0
-    voltage: Annotated[float, SI("V", "constant voltage; or current in A, with numbers per ampere", 0.0)] = 0.0
+    voltage: Voltage = 0.0
+    largest_voltage: LargestVoltage | None = None
+    bandwidth: Bandwidth | None = None
 
     @property
     def law(self) -> tuple[Number, Number, Number, Number]:
         return self.A, self.gamma, self.beta, self.exponent
 
-    @property
-    def _now(self) -> tuple[Number, Number, Number]:
-        u = self.voltage
-        return self.alpha + self.alpha_per_volt * u, self.c0 + self.c0_per_volt * u, self.c1 + self.c1_per_volt * u
+    def divisor(self, u: Array | float) -> Any:
+        _, c0, c1 = self.at_voltage(u)
+        return c0 + c1
 
-    def _dashpot(self, d: Array, v: Array, z: Array) -> Array:
+    def _dashpot(self, d: Array, v: Array, z: Array, u: Array | float) -> Array:
         """Returns y' [m/s], shape (...)."""
-        alpha, c0, c1 = self._now
+        alpha, c0, c1 = self.at_voltage(u)
         return (alpha * z[..., 1] + c0 * v + self.k0 * (d - z[..., 0])) / (c0 + c1)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        return self._now[2] * self._dashpot(d, v, z) + self.k1 * d
+        return self.at_voltage(u)[2] * self._dashpot(d, v, z, u) + self.k1 * d
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        speed = self._dashpot(d, v, z)
+        speed = self._dashpot(d, v, z, u)
         return np.stack(np.broadcast_arrays(speed, self.evolution(v - speed, z[..., 1])), axis=-1)
 
-    def stored(self, d: Array, z: Any = None) -> Array:
-        springs = (self.k1 * np.square(d) + self.k0 * np.square(d - z[..., 0])) / 2
-        return springs + self._now[0] * self.returned(z[..., 1])
-
-    @property
-    def largest_force(self) -> Number:
-        alpha, c0, c1 = self._now
-        return c1 * (alpha * self.z_max + c0 * FAST) / (c0 + c1)
+    def springs(self, d: Array, z: Array) -> Array:
+        return (self.k1 * np.square(d) + self.k0 * np.square(d - z[..., 0])) / 2
 
     @property
     def words(self) -> str:
-        return f"a magnetorheological damper with a hysteretic force of up to {rough(self._now[0] * self.z_max)} N"
+        return f"a magnetorheological damper with a hysteretic force of up to {rough(self.at_voltage()[0] * self.z_max)} N"

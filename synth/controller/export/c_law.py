@@ -152,6 +152,11 @@ def exported_law(
         raise InputError(f"controller {driver.name!r} is {driver.kind}, already code; export a linear or semi-active law")
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
+    if not all(damper.replaces for damper in vehicle.dampers.values()):
+        raise InputError(
+            "dampers of [parts] with largest_voltage cannot be exported: no sensor measures their states; "
+            "omit largest_voltage, or give [actuators] with c_min and c_max"
+        )
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.parts.adjustable):
         raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
     if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.parts.adjustable):

@@ -1,0 +1,218 @@
+"""Force elements whose voltage a suspension's controller sets, as magnetorheological dampers, instead of an actuator's force.
+
+An element pulls with F(d, v, z, u) at a voltage u beyond the one without a command. Its controller requests a force u* beyond
+that of the element without a command, as of an adjustable damper (`models.characteristics.adjustable_range`). At the sample the
+element takes the voltage from 0 to its largest whose force
+
+    -(F(d, v, z, u) - F(d, v, z, 0))
+
+is nearest to u*, at the motion and the states then, and has this voltage until the next sample. Of several such voltages it
+takes the one that is nearest to that without a command.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from models.characteristics.adjustable_range import CURVED, Damper, check_unlimited
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.kind import Suspension
+from models.parts.element import Element
+from models.parts.native import Tendon
+from models.parts.part import Limit, Line, Number, Part, SettablePart, Straight
+
+SAME = 1e-12  # of the forces: a smaller difference is rounding
+SPEED = 1.0  # m/s, at which a coefficient stands for an element
+
+
+@dataclass(frozen=True)
+class ElementDamper(Damper):
+    """Element of `[parts]` as an adjustable damper, with its coefficients at 1 m/s, at 0 V and at its largest voltage.
+
+    Attributes:
+        name: name of its section.
+        element: the element.
+    """
+
+    replaces = False
+
+    name: str = ""
+    element: Any = None
+
+    @classmethod
+    def of(cls, one: Element) -> "ElementDamper":
+        """Returns the adjustable damper that an element is."""
+        part: Any = one.part
+        low, high = (float(part.after_yield(np.array(SPEED), u)) / SPEED for u in part.settable)
+        return cls(low, high, part.bandwidth, None, one.name, part)
+
+    def among(self, elements: Sequence[Element]) -> "ElementDamper":
+        return ElementDamper.of(next(one for one in elements if one.name == self.name))
+
+    @property
+    def words(self) -> str:
+        lag = "" if self.bandwidth is None else f", with a lag of {self.bandwidth:g} rad/s"
+        return f"a semi-active {self.name} of 0 to {self.element.largest_voltage:g} V{lag}"
+
+    @staticmethod
+    def together(dampers: Sequence["ElementDamper"], shape: tuple[int, ...]) -> "ElementDamper":
+        """Returns one of several dampers that differ in numbers alone: `SetElement` reads these from its element."""
+        return dampers[0]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SetElement(SettablePart):
+    """Element with its voltage as the input, in its own travel.
+
+    Attributes:
+        element: the element.
+        without: the element without a command, or its line.
+    """
+
+    element: Any
+    without: Part
+
+    @property
+    def states(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.states`."""
+        return self.element.states
+
+    @property
+    def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """See `Part.fastest`."""
+        return self.element.fastest
+
+    @property
+    def coefficient(self) -> str:
+        """The signal of the acting voltage."""
+        return f"voltage{self.ending}"
+
+    @property
+    def low(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The least voltage beyond the one without a command [V]."""
+        return self.element.settable[0]
+
+    @property
+    def high(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The largest voltage beyond the one without a command [V]."""
+        return self.element.settable[1]
+
+    @property
+    def slopes(self) -> tuple[float, float]:
+        least, now, most = (float(self.element.pull(0.0, 1.0, np.zeros(len(self.states)), u)) for u in (self.low, 0.0, self.high))
+        return least - now, most - now
+
+    def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        if not isinstance(self.without, Straight):
+            return self.element.pull(d, v, z, u)
+        return self.without.pull(d, v, z) - self.push(d, v, z, u)
+
+    def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
+        return self.without.rate(d, v, z) if isinstance(self.without, Straight) else self.element.rate(d, v, z, u)
+
+    def stored(self, d: Array, z: Any = None) -> Array:
+        return self.without.stored(d, z)
+
+    def push(self, d: Array, v: Array, z: Any, u: Array | float, before: Array | float = 0.0) -> Array:
+        """Returns the force at voltages u beyond that at other ones, positive if it pushes [N], shape (...)."""
+        return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
+
+    def ramp(self, v: Array, beyond: Array | float) -> Array:
+        """See `SettablePart.ramp`: after yield, without springs."""
+        return self.element.after_yield(v, beyond)
+
+    def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
+        """Returns the voltages beyond the one without a command whose forces are nearest to requested ones [V], shape (...).
+
+        The pull times `Part.divisor` is a parabola in the voltage. So the pull is the requested one at roots of a parabola, and
+        has its extremes at the ends and at roots of another parabola.
+        """
+        low, high, pull = self.low, self.high, self.element.pull
+        wanted, wide = pull(d, v, z, 0.0) - force, high - low
+        a, b = self.element.divisor(low), self.element.divisor(high)
+        first, middle, last = (pull(d, v, z, u) * self.element.divisor(u) for u in (low, low + wide / 2, high))
+        bent, slope = 2 * (first - 2 * middle + last), 4 * middle - 3 * first - last
+        some = [np.zeros_like(wanted), np.ones_like(wanted), np.zeros_like(wanted) - low / wide]
+        with np.errstate(all="ignore"):
+            some += _roots(bent, slope - wanted * (b - a), first - wanted * a)
+            some += _roots(bent * (b - a), 2 * bent * a, slope * a - first * (b - a))
+            settings = low + wide * np.clip(np.nan_to_num(np.stack(some)), 0.0, 1.0)
+            pulls = pull(d, v, z, settings)
+            away = np.nan_to_num(np.abs(pulls - wanted), nan=np.inf)
+            near = away <= away.min(axis=0) + SAME * (np.abs(pulls).max(axis=0) + np.abs(wanted))
+        best = np.where(near, np.abs(settings), np.inf).argmin(axis=0)
+        return np.take_along_axis(settings, best[None], axis=0)[0]
+
+    @cached_property
+    def line(self) -> Line:
+        """See `Part.line`: without a command."""
+        return self.without.line
+
+    @property
+    def bent(self) -> bool:
+        return self.without.bent
+
+    @property
+    def kinked_at_rest(self) -> bool:
+        return self.without.kinked_at_rest
+
+    @property
+    def range(self) -> float:
+        return self.without.range
+
+    def limits(self) -> Sequence[Limit]:
+        return self.without.limits()
+
+    def write_input(self, tendon: Tendon, by_motor: bool) -> None:
+        tendon.adjust_input(self.force, 0.0, (), float(self.low), self.ratio, self.damper.bandwidth)
+
+    @property
+    def words(self) -> str:
+        return self.damper.words
+
+
+def _roots(a: Array, b: Array, c: Array) -> list[Array]:
+    """Returns the roots of a x^2 + b x + c, also if a is 0; not a number if they are complex."""
+    q = -(b + np.where(b < 0, -1.0, 1.0) * np.sqrt(b * b - 4 * a * c)) / 2
+    return [q / a, c / q]
+
+
+def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElement:
+    """Returns an element at a suspension whose controller sets its voltage; `part` is the element or its line."""
+    return SetElement(place.force, place.ending, damper, damper.element.voltage, element=damper.element, without=part)
+
+
+def element_dampers(
+    elements: Sequence[Element], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
+) -> dict[str, ElementDamper]:
+    """Returns the elements whose voltage is set as adjustable dampers, by the force that each replaces.
+
+    Args:
+        actuators: `[actuators]` of the vehicle file.
+        limited: keys of `[limits]` for actuators.
+
+    Raises:
+        InputError: the suspension has another actuator, or none, or `[limits]` limits actuators that push.
+    """
+    dampers = dict[str, ElementDamper]()
+    for one in elements:
+        for place in suspensions if one.part.settable is not None else ():
+            if place.corner not in one.corners:
+                continue
+            what, where = f"[parts.{one.name}] largest_voltage", f" at {place.corner}" if place.corner else ""
+            if not place.force:
+                raise InputError(f"{what} needs an actuator{where}, which this vehicle type does not have; omit largest_voltage")
+            if place.force in dampers:
+                other = dampers[place.force].name
+                raise InputError(f"{what} and [parts.{other}] largest_voltage both take {place.force}; omit one of the two")
+            own = place.ending.removeprefix("_")
+            if own in actuators or any(not isinstance(value, Mapping) or key in CURVED for key, value in actuators.items()):
+                raise InputError(f"{what} and [actuators] both give {place.force}; omit one of the two at this suspension")
+            dampers[place.force] = ElementDamper.of(one)
+    if dampers:
+        check_unlimited(limited, f"[parts.{next(iter(dampers.values())).name}] has a semi-active damper")
+    return dampers
