@@ -146,10 +146,10 @@ def test_the_paper_s_car_at_all_frequencies():
     assert largest <= one.bound <= (1 + 1.01e-4) * largest
 
 
-@pytest.mark.parametrize(("low", "high", "loose"), [(4.0, 8.0, 0.01), *attacks([(0.0, 2.0, 0.25), (6.0, np.inf, 0.05)])])
+@pytest.mark.parametrize(("low", "high", "loose"), [(4.0, 8.0, 3.1e-4), *attacks([(0.0, 2.0, 3.1e-4), (6.0, np.inf, 0.01)])])
 def test_a_norm_in_a_band_with_errors(low, high, loose):
-    """In a band with two ends or one, no sample of the errors exceeds what is proved, and that lies within a hundredth of it;
-    in a band without end within a twentieth, and about the slow mode that twice the errors lose within a quarter."""
+    """In a band with two ends or one, no sample of the errors exceeds what is proved, and that lies close above it, also
+    about the slow mode that twice the errors lose."""
     _, _, proof, largest = made(_in_band, low, high)
     assert largest <= proof.bound <= (1 + loose) * largest
 
