@@ -25,6 +25,7 @@ class Specification:
         at_most: largest allowed value; None if the quantity is minimised.
         unit: unit of all three values.
         where: place where the value occurs, or empty.
+        proof: kind of the proof, and if it is exact or computed twice; empty for other proofs than those of errors.
     """
 
     what: str
@@ -33,6 +34,7 @@ class Specification:
     at_most: float | None = None
     unit: str = ""
     where: str = ""
+    proof: str = ""
 
     @property
     def holds(self) -> bool:
@@ -43,7 +45,8 @@ class Specification:
     @property
     def proved_text(self) -> str:
         """The proved upper bound as text."""
-        return "exact" if self.proved is None else "not proved" if self.proved == math.inf else digits(self.proved)
+        how = f" ({self.proof})" if self.proof else ""
+        return "exact" if self.proved is None else "not proved" if self.proved == math.inf else f"{digits(self.proved)}{how}"
 
     @property
     def text(self) -> str:
@@ -54,6 +57,7 @@ class Specification:
             proved = ", but no bound is proved"
         elif self.proved is not None and digits(self.proved) == digits(self.value):
             proved = ", proved"
+        proved += f" ({self.proof})" if self.proof and proved and self.proved != math.inf else ""
         allowed = "" if self.at_most is None else f"; at most {digits(self.at_most)}{unit} is allowed"
         where = f" ({self.where})" if self.where else ""
         return f"{self.what} is {digits(self.value)}{unit}{where}{proved}{allowed}"
@@ -69,6 +73,7 @@ class Specification:
             "unit": self.unit,
             "where": self.where,
             "holds": self.holds,
+            "proof": self.proof or None,
         }
 
 

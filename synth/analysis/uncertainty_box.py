@@ -6,23 +6,13 @@ the measurements is well-posed: everywhere in the box if its determinant, affine
 a fixed X the largest eigenvalue of LMI (20) is convex in the quotient, as the disturbance appears at most squared. So it is
 largest at a corner: one X that satisfies (20) at all corners of a box proves stability and the bound everywhere in it (quadratic
 stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
-
-One X for all errors also allows for rapidly changing errors, which is conservative for constant ones. Let A be one of the loops
-of a box, in the convex hull of the A_i at its corners, and let
-
-    [ F A_i + A_i' F'     X_i - F + A_i' G' ]
-    [ X_i - F' + G A_i      -(G + G')       ]  <  0,     X_i > 0,
-
-with F and G the same for all. With the weights of A = sum l_i A_i, X = sum l_i X_i satisfies the same inequality. Multiplied by
-[I, A'] and its transpose, it is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear systems, in
-Perspectives in Robust Control). The rounding of each entry is bounded and allowed for (`analysis/rigorous.py`).
 """
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -72,15 +62,6 @@ class Box:
         return Box(self.low, high), Box(low, self.high)
 
 
-class Loops(NamedTuple):
-    """A stack of loops from w to z: shapes (..., n, n), (..., n, r), (..., d, n) and (..., d, r)."""
-
-    A: Array
-    Bw: Array
-    C: Array
-    Dw: Array
-
-
 @dataclass(frozen=True, eq=False)
 class ScaledGain:
     """Loops under the gains S_u K S_y.
@@ -123,39 +104,50 @@ class ScaledGain:
         determinants = np.linalg.det(self.return_difference(self.scaled(box.vertices)))
         return bool(np.all(np.abs(determinants) > REGULAR * np.abs(determinants).max()) and np.ptp(np.sign(determinants)) == 0)
 
-    def loops(self, factors: Array) -> Loops:
-        """Returns the loops under factors of shape (..., q + m).
+    @cached_property
+    def _parts(self) -> tuple[Array, Array, Array]:
+        """[A Bw; C Dw] of the plant, [B; D], and [C_y Dyw]."""
+        plant = self.plant
+        system = np.block([[plant.A, plant.Bw], [plant.C, plant.Dw]])
+        return system, np.vstack([plant.B, plant.D]), np.hstack([plant.Cy, plant.Dyw])
+
+    def loops(self, factors: Array) -> Array:
+        """Returns [A Bw; C Dw] of the loops under factors of shape (..., q + m), shape (..., n + d, n + r).
 
         Raises:
             LinAlgError: a loop through the measurements is not well-posed.
         """
-        K, plant = self.acting(factors), self.plant
-        G, through = K @ self.plant.Cy, K @ self.plant.Dyw
-        A, C = plant.A + plant.B @ G, plant.C + plant.D @ G
-        return Loops(A, plant.Bw + plant.B @ through, C, plant.Dw + plant.D @ through)
+        system, inputs, outputs = self._parts
+        return system + inputs @ (self.acting(factors) @ outputs)
 
-    def sizes(self, factors: Array) -> Loops:
+    def loop(self, factors: Array) -> Plant:
+        """Returns the loop under factors of shape (q + m,) as a plant from w to z; see `loops`."""
+        n, M = len(self.plant.A), self.loops(factors)
+        return Plant.without_inputs(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:])
+
+    def stable(self, factors: Array) -> bool:
+        """Returns True if all loops under factors of shape (..., q + m) are stable by their computed poles."""
+        n = len(self.plant.A)
+        return bool(np.all(np.linalg.eigvals(self.loops(factors)[..., :n, :n]).real < 0))
+
+    def sizes(self, factors: Array) -> Array:
         """Returns `loops` with every term replaced by its magnitude, to which the rounding is proportional."""
-        scaled, plant = np.abs(self.scaled(factors)) + 2 * np.abs(self.before), self.plant
+        scaled = np.abs(self.scaled(factors)) + 2 * np.abs(self.before)
         if np.any(self.plant.Dyu):
             size = np.abs(np.linalg.inv(self.return_difference(self.scaled(factors))))
             scaled = size @ (scaled + (np.eye(len(self.K)) + scaled @ np.abs(self.plant.Dyu)) @ np.abs(self.acting(factors)))
-        G, through = scaled @ np.abs(self.plant.Cy), scaled @ np.abs(self.plant.Dyw)
-        B, D = np.abs(plant.B), np.abs(plant.D)
-        A, C = np.abs(plant.A) + B @ G, np.abs(plant.C) + D @ G
-        return Loops(A, np.abs(plant.Bw) + B @ through, C, np.abs(plant.Dw) + D @ through)
+        system, inputs, outputs = (np.abs(part) for part in self._parts)
+        return system + inputs @ (scaled @ outputs)
 
 
-def lmi(loops: Loops, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` instead of its -1."""
-    A, Bw, C, Dw = loops
-    left = np.concatenate([A @ X, C @ X], axis=-2)
-    n, d = A.shape[-1], C.shape[-2]
-    W = np.concatenate([Bw, Dw], axis=-2)
+def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
+    """Returns the left side of (20) of loops [A Bw; C Dw], shape (..., n + d, n + d), with `identity` instead of its -1."""
+    n = len(X)
+    left, W = loops[..., :n] @ X, loops[..., n:]
     F = eta * W @ W.swapaxes(-1, -2)
     F[..., :, :n] += left
     F[..., :n, :] += left.swapaxes(-1, -2)
-    F[..., n:, n:] += identity * np.eye(d)
+    F[..., n:, n:] += identity * np.eye(F.shape[-1] - n)
     return F
 
 
@@ -167,6 +159,8 @@ class BoxProof:
         eta: gamma^-2.
         parts: boxes that fill the whole box, each with its X.
     """
+
+    kind: ClassVar[str] = "common X, exact"
 
     eta: float
     parts: Sequence[tuple[Box, Array]]
@@ -209,132 +203,3 @@ def _fill(parts: Sequence[Box], box: Box) -> bool:
         if below and above and len(below) + len(above) == len(parts):
             return _fill(below, lower) and _fill(above, upper)
     return False
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterDependentLyapunov:
-    """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
-
-    Attributes:
-        X: matrices at the corners, in the order of `Box.vertices`, shape (2^k, n, n).
-        F, G: slack matrices, the same for all corners, shapes (n, n).
-        gamma: the bound; infinite for stability alone.
-    """
-
-    X: Array
-    F: Array
-    G: Array
-    gamma: float = np.inf
-
-    def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Returns True if all loops of a box are proved stable, and their norms below the bound, beyond rounding."""
-        corners = box.vertices
-        if not gain.well_posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
-            return False
-        (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
-        sizes = left_side(gain.sizes(corners), np.abs(self.X), np.abs(self.F), np.abs(self.G), self.gamma, sign=1.0)
-        lost = 4 * (2 * n + m * m + m + q + r + 8) * UNIT * sizes
-        positive = definite_beyond(self.X, np.zeros_like(self.X))
-        return positive and definite_beyond(-left_side(gain.loops(corners), self.X, self.F, self.G, self.gamma), lost)
-
-
-def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float, sign: float = -1.0) -> Array:
-    """Returns the left side of the inequality at all corners, shape (V, k, k); from magnitudes, with `sign` 1, its magnitudes.
-
-    If gamma is finite, it is that of the bounded real lemma, bordered by [F Bw, C'; G Bw, 0] and [-gamma I, Dw'; Dw, -gamma I].
-    """
-    A, Bw, C, Dw = loops
-    (V, n, r), d = Bw.shape, C.shape[1]
-    k = 2 * n if np.isinf(gamma) else 2 * n + r + d
-    M = np.zeros((V, k, k))
-    M[:, :n, :n] = F @ A + A.swapaxes(-1, -2) @ F.T
-    M[:, :n, n : 2 * n] = X + sign * F + A.swapaxes(-1, -2) @ G.T
-    M[:, n : 2 * n, n : 2 * n] = sign * (G + G.T)
-    if np.isfinite(gamma):
-        w, z = slice(2 * n, 2 * n + r), slice(2 * n + r, k)
-        M[:, :n, w], M[:, n : 2 * n, w] = F @ Bw, G @ Bw
-        M[:, :n, z], M[:, w, z] = C.swapaxes(-1, -2), Dw.swapaxes(-1, -2)
-        M[:, w, w], M[:, z, z] = sign * gamma * np.eye(r), sign * gamma * np.eye(d)
-    upper = np.triu(M)
-    return upper + np.triu(M, 1).swapaxes(-1, -2)
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterDependentKYP:
-    """A parameter-dependent KYP proof of a bound on the norm in a band, for all loops of a box, stable or not.
-
-    Let (a, c, b) be (-1, (w1 + w2) / 2, -w1 w2) for a finite band, else (1, 0, -w1^2). For one loop a bound gamma follows from
-
-        [ a Q        P + j c Q    0          0   ]
-        [ P - j c Q  b Q          0          C'  ]  +  He [-I A Bw 0]' W  <  0,     Q > 0
-        [ 0          0           -gamma I    Dw' ]
-        [ 0          C            Dw        -gamma I ]
-
-    (Iwasaki, Hara 2005, theorem 2, with Finsler's lemma): the term with W vanishes for all motions x' = A x + Bw w. As W is the
-    same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
-
-    Attributes:
-        P, Q: matrices at the corners, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
-        W: shape (n, 2 n + r).
-        low, high: the band [rad/s].
-        gamma: the bound.
-    """
-
-    P: Array
-    Q: Array
-    W: Array
-    low: float
-    high: float
-    gamma: float
-
-    def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Returns True if the bound is proved for all loops of a box, beyond rounding."""
-        corners = box.vertices
-        if (
-            not gain.well_posed(box)
-            or not len(self.P) == len(self.Q) == len(corners)
-            or not (hermitian(self.P) and hermitian(self.Q))
-        ):
-            return False
-        (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
-        loops, sizes = gain.loops(corners), gain.sizes(corners)
-        M = band_side(loops, self.P, self.Q, self.W, self.low, self.high, self.gamma)
-        P, Q, W = (_size(one) for one in (self.P, self.Q, self.W))
-        lost = band_side(sizes, P, Q, W, self.low, self.high, self.gamma, sign=1.0)
-        lost *= 4 * (2 * n + m * m + m + q + r + 12) * UNIT
-        positive = definite_beyond(_real(self.Q), np.zeros((len(corners), 2 * n, 2 * n)))
-        return positive and definite_beyond(_real(-M), np.tile(lost, (2, 2)))
-
-
-def band_side(loops: Loops, P: Array, Q: Array, W: Array, low: float, high: float, gamma: float, sign: float = -1.0) -> Array:
-    """Returns the left side of `ParameterDependentKYP`, shape (V, k, k); from magnitudes, with `sign` 1, its magnitudes."""
-    a, c, b = (sign, (low + high) / 2, sign * low * high) if np.isfinite(high) else (1.0, 0.0, sign * low**2)
-    A, Bw, C, Dw = loops
-    (V, n, r), d = Bw.shape, C.shape[1]
-    turn = 1j * c if sign < 0 else c
-    M = np.zeros((V, 2 * n + r + d, 2 * n + r + d), dtype=complex if sign < 0 else float)
-    x, w, z = slice(n, 2 * n), slice(2 * n, 2 * n + r), slice(2 * n + r, None)
-    M[:, :n, :n], M[:, :n, x], M[:, x, x] = a * Q, P + turn * Q, b * Q
-    M[:, x, :n] = M[:, :n, x].conj().swapaxes(-1, -2)
-    M[:, z, x], M[:, x, z], M[:, z, w], M[:, w, z] = C, C.swapaxes(-1, -2), Dw, Dw.swapaxes(-1, -2)
-    M[:, w, w], M[:, z, z] = sign * gamma * np.eye(r), sign * gamma * np.eye(d)
-    motion = np.concatenate([np.broadcast_to(sign * np.eye(n), A.shape), A, Bw, np.zeros((V, n, d))], axis=-1)
-    of_motion = motion.swapaxes(-1, -2) @ np.hstack([W, np.zeros((n, d))])
-    return M + of_motion + of_motion.conj().swapaxes(-1, -2)
-
-
-def _real(M: Array) -> Array:
-    """Returns the real symmetric matrices that are positive definite if and only if M is, shape (..., 2 k, 2 k)."""
-    real, imaginary = np.real(M), np.imag(M)
-    upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
-    return np.concatenate([upper, lower], axis=-2)
-
-
-def _size(M: Array) -> Array:
-    """Returns an upper bound on the size of each complex entry."""
-    return np.abs(np.real(M)) + np.abs(np.imag(M))
-
-
-def hermitian(M: Array) -> bool:
-    """Returns True if all matrices of a stack are Hermitian bit for bit."""
-    return np.array_equal(M, M.conj().swapaxes(-1, -2))

@@ -82,7 +82,7 @@ def design_feedback(
         minimise: the norm that is minimised, as in {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
         bounds: bounds such as [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
-        family: further plants that the same gain is for; the largest norm of all counts.
+        family: further plants that the same gain is for; the largest norm of all counts. Their default measurements are Cy.
         structure: ones where a measurement may act on a force, else zeros, shape (m, q); with a number of states each force has
             a law of its own with so many. Or "pi" or "pid", a law of that kind from each measurement to a force.
         pid: time constant of the derivative's low-pass for "pid" [s], such as {"filter": 0.01}.
@@ -283,7 +283,8 @@ def _for_goals(
 
     for each in family:
         check_inputs(each)
-    plants = [problem.plant, *(_with_noise(each.measured(plant.Cy, plant.Dyw), rms) for each in family)]
+    measured = [each if len(each.Cy) else each.measured(plant.Cy, plant.Dyw) for each in family]
+    plants = [problem.plant, *(_with_noise(each, rms) for each in measured)]
     goals, posed = goals_of_plants(WHERE, section, plants)
     for each in plants:
         check_stabilisable(each, problem.states)

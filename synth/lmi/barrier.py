@@ -292,3 +292,49 @@ def boundary(here: Factored, step: Array) -> float:
     """Returns the largest t with p + t step feasible, at which a block becomes singular."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
+
+
+FASTER = 8.0  # how much weight the last unknown gains from one centre to the next
+CENTRES = 24  # of the path, at most
+CENTRED = 0.1  # Newton decrement at a centre
+WITHIN = 0.95  # of the way to the boundary, where a step along the path would leave
+SHORTEST = 1e-10  # likewise, of that step
+SURE = 1.1  # times as far as the least can be from a centre's
+
+
+def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close: float = np.inf) -> Array:
+    """Minimises the last unknown along the central path, until it is below a value or certain not to be.
+
+    Args:
+        p: feasible point, the last unknown above `enough`.
+        rows: of all blocks of the barrier.
+        close: how near to the least value the path ends if that is not below `enough`.
+
+    Returns:
+        The last point of the path.
+
+    Raises:
+        LinAlgError: rounding makes the first point infeasible.
+    """
+    c, along = np.zeros(len(p)), np.zeros(len(p))
+    along[-1], weight, here = 1.0, rows / (p[-1] - enough), barrier.at(p)
+    if here is None:
+        raise np.linalg.LinAlgError("rounding leaves no feasible point")
+    for _ in range(CENTRES):
+        c[-1] = weight
+        p, _, here = newton(barrier, p, c, CENTRED, lambda p: p[-1] < enough, here)
+        gap = SURE * rows / weight
+        if p[-1] < enough or (gap <= close and p[-1] - gap > enough):
+            break
+        # Along the tangent of the path, but inside: near the boundary rounding may say otherwise, and then less far.
+        step = -(1 - 1 / FASTER) * weight * here.solve(here.half(along))
+        length, start, here = min(1.0, WITHIN * boundary(here, step)), p, None
+        while here is None and length > SHORTEST:
+            p, length = start + length * step, length / 2
+            here = barrier.at(p)
+        if here is None:
+            return start
+        if p[-1] < enough:
+            break
+        weight *= FASTER
+    return p

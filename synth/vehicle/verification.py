@@ -16,39 +16,20 @@ from synth.analysis.band_norm import norm_in_band
 from synth.analysis.energy_to_peak import energy_peaks
 from synth.analysis.specification import FREQUENCY, Specification
 from synth.analysis.stability import stability
-from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
-from synth.design.multi_objective.band_norm import EVERYWHERE, Band
+from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm
-from synth.design.uncertainty.multipliers import all_stable, bound_in_band, stable_with_errors
-from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
-from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout
+from synth.design.uncertainty.multipliers import NEAR, bound_in_band, stable_in_box
 from synth.design.uncertainty.problem import box_of, scaled_gain
-from synth.design.uncertainty.worst_case import WorstNorm, worst_norm
+from synth.design.uncertainty.worst_case import Proof, WorstNorm, stable_with_errors, worst_norm
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
-FAR = 1e4  # times a norm: of loops that are only known to be stable
-NEAR = 1.01  # times what is met: a bound that is so close needs no other
+CLOSE = 1e-3  # relative; a bound in a band so close above what is met needs no other
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
-
-
-@dataclass(frozen=True, eq=False)
-class WorstCase:
-    """A norm with the worst errors, between two bounds.
-
-    Attributes:
-        lower: the largest norm found.
-        upper: upper bound that is proved; infinite if none is known.
-        errors: errors at which `lower` occurs.
-    """
-
-    lower: float
-    upper: float
-    errors: GainErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +48,7 @@ class Verification:
     goals: Goals
     asked: MultiObjectiveProblem
     K: Array
-    known: dict[NormSpecification, list[WorstCase]] = field(default_factory=dict)
+    known: dict[NormSpecification, list[WorstNorm]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -110,70 +91,76 @@ class Verification:
         if not self.asked.has_errors:
             return [alone]
         wholes, names = self.worst(spec), (*self.entry.measured, *self.vehicle.linear_model.inputs)
-        off = [zip(names, (*each.errors.sensors, *each.errors.forces), strict=True) for each in wholes]
+        off = [zip(names, (*each.readings, *each.forces), strict=True) for each in wholes]
         at = [", ".join(f"{name} {ERROR.text(error)}" for name, error in errors if error) for errors in off]
-        return [alone, self.most(f"{what}, with errors", [(each.lower, each.upper) for each in wholes], at_most, at=at)]
+        of = [(each.found, each.proved) for each in wholes]
+        return [alone, self.most(f"{what}, with errors", of, at_most, at=at, proofs=[each.proof for each in wholes])]
 
     def most(
-        self, what: str, of: Sequence[tuple[float, float]], at_most: float | None = None, unit: str = "", at: Sequence[str] = ()
+        self,
+        what: str,
+        of: Sequence[tuple[float, float]],
+        at_most: float | None = None,
+        unit: str = "",
+        at: Sequence[str] = (),
+        proofs: Sequence[Proof | None] = (),
     ) -> Specification:
         """Returns the specification of the largest of the members' values, each with a proved bound.
 
         Args:
             at: place of each value within its member, in words; empty for none.
+            proofs: proof of each bound for all errors; empty without errors.
         """
         i = int(np.argmax([value for value, _ in of]))
         where = ", ".join(filter(None, (self.names[i], at[i] if at else "")))
-        return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where)
+        how = " and ".join(sorted({proof.kind for proof in proofs if proof is not None}))
+        return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where, how)
 
     def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
-        problem = self.asked
+        problem, proofs = self.asked, []
         if problem.has_errors:
-            of = [(each.lower, each.upper) for each in self.worst(problem.minimise)]
+            worst = self.worst(problem.minimise)
+            of, proofs = [(each.found, each.proved) for each in worst], [each.proof for each in worst]
         else:
             of = [_norm(member.posed[0], self.K, problem.minimise)[:2] for member in problem.members]
         with_errors = ", with errors" if problem.has_errors else ""
         ratios = [(value / best, proved / best) for (value, proved), best in zip(of, bests, strict=True)]
-        return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios)
+        return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios, proofs=proofs)
 
-    def worst(self, spec: NormSpecification) -> list[WorstCase]:
+    def worst(self, spec: NormSpecification) -> list[WorstNorm]:
         """The norm of every member with the worst errors."""
         if spec not in self.known:
-            whole = spec.band == EVERYWHERE
             members = range(len(self.asked.members))
-            self.known[spec] = [self.worst_whole(i, spec) if whole else self.worst_in_band(i, spec) for i in members]
+            self.known[spec] = [
+                self.worst_of(i, spec) if spec.band == EVERYWHERE else self.worst_in_band(i, spec) for i in members
+            ]
         return self.known[spec]
 
-    def worst_whole(self, i: int, spec: NormSpecification) -> WorstCase:
-        """The norm of a member at all frequencies with the worst errors."""
-        posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
-        worst = self.worst_of(posed, spec.at_most if np.isfinite(spec.at_most) else None)
-        proved, enough = worst.proved, max(NEAR * worst.found, spec.at_most if np.isfinite(spec.at_most) else 0.0)
-        if not proved <= enough and posed.dt is None and not worst.unstable:
-            gain = scaled_gain(posed, self.K)
-            proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, worst.found))
-        return WorstCase(worst.found, proved, GainErrors(worst.readings, worst.forces))
+    def worst_of(self, i: int, spec: NormSpecification) -> WorstNorm:
+        """The norm of a member at all frequencies, or behind the filter of a band, with the worst errors."""
+        tolerance, enough = self.asked.tolerance, spec.at_most if np.isfinite(spec.at_most) else None
+        posed = in_band(self.asked.members[i].posed[spec.which], spec.band)
+        return worst_norm(posed, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
 
-    def worst_in_band(self, i: int, spec: NormSpecification) -> WorstCase:
-        """Returns the worst norm of a member in a band, proved by a parameter-dependent matrix or behind a filter."""
+    def worst_in_band(self, i: int, spec: NormSpecification) -> WorstNorm:
+        """The norm of a member in a band with the worst errors, proved by multipliers, or else behind a filter."""
         posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
         best = self.asked.bests[i] if spec is self.asked.minimise and self.asked.bests is not None else 1.0
         tried = [worst_of_norm(self.asked, i, spec, best, self.K)[1], self.asked.no_errors]
         unit = max(_norm(each.on(posed), self.K, spec)[0] for each in tried)
-        gain = scaled_gain(posed, self.K)
+        gain, proof = scaled_gain(posed, self.K), None
         box = box_of(gain, tolerance.sensors, tolerance.forces)
-        proved = np.inf if posed.dt is not None else _proved(gain, box, spec.band, unit)
-        if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
-            behind = self.worst_of(in_band(posed, spec.band), spec.at_most if np.isfinite(spec.at_most) else None)
-            tried, proved = [GainErrors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
+        if posed.dt is None and stable_in_box(gain, box) is not None:
+            proof = bound_in_band(gain, box, *spec.band, unit * (1 + NEAR))
+        if proof is None or proof.bound > unit * (1 + CLOSE):  # the norm behind the filter is at least that in the band
+            behind = self.worst_of(i, spec)
+            tried = [GainErrors(behind.readings, behind.forces), *tried]
+            if proof is None or behind.proved < proof.bound:
+                proof = behind.proof
         values = [_norm(each.on(posed), self.K, spec)[0] for each in tried]
-        return WorstCase(max(values), proved, tried[int(np.argmax(values))])
-
-    def worst_of(self, posed: Plant, enough: float | None) -> WorstNorm:
-        """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
-        tolerance = self.asked.tolerance
-        return worst_norm(posed, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
+        worst = tried[int(np.argmax(values))]
+        return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
     def decay(self, rate: float) -> list[Specification]:
         """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
@@ -182,22 +169,14 @@ class Verification:
         specifications = [Specification("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
         if not self.asked.has_errors:
             return specifications
-        rates, proved = [], -np.inf
+        rates, proofs, tolerance = [], list[Proof | None](), self.asked.tolerance
         for i, member in enumerate(self.asked.members):
             beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
             rates.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
             moved = _moved(member.posed[0], rate)
-            norm = _norm(errors.on(moved), self.K, NormSpecification())[0] if beyond < 1 else np.inf
-            proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
-        i = int(np.argmax(rates))
-        return [*specifications, Specification("slowest pole, with errors", rates[i], proved, -rate, "rad/s", self.names[i])]
-
-    def stable(self, posed: Plant, enough: float) -> bool:
-        """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
-        tolerance = self.asked.tolerance
-        if stable_with_errors(posed, self.K, tolerance.sensors, tolerance.forces):
-            return True
-        return bool(np.isfinite(self.worst_of(posed, enough).proved))
+            proofs.append(stable_with_errors(moved, self.K, tolerance.sensors, tolerance.forces) if beyond < 1 else None)
+        of = [(each, -rate if proof is not None else np.inf) for each, proof in zip(rates, proofs, strict=True)]
+        return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
 
     def energy_peak(self, bound: EnergyBound, which: int) -> Specification:
         """The largest magnitude of a signal for all roads of given energy."""
@@ -218,27 +197,6 @@ class Verification:
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
         values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.peak).unit
         return self.most(f"largest {bound.peak} over {bound.road}", values, bound.at_most, unit, at)
-
-
-def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
-    """Returns the proved bound on a norm in a band by multipliers, or else by matrices that move with the errors.
-
-    Args:
-        unit: the largest norm found.
-
-    Returns:
-        Infinity if nothing is proved.
-    """
-    if not all_stable(gain, box):
-        return np.inf
-    constant = bound_in_band(gain, box, *band, unit)
-    proved = constant.gamma if constant is not None else np.inf
-    if proved <= NEAR * unit:
-        return proved
-    if band == EVERYWHERE:
-        return min(proved, bound_throughout(gain, box, unit))
-    moving = proof_in_band(gain, box, *band, unit)
-    return min(proved, moving.gamma) if moving is not None else proved
 
 
 def _norm(posed: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:

@@ -54,7 +54,7 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
     where = f"at {FREQUENCY.text(above.peak_frequency)}"
     if at_most is not None and 0 < above.gamma < np.inf:
         where += f"; stable with up to {digits(1 / above.gamma)} times the errors"
-    return Specification(what, value, above.gamma, at_most, where=where)
+    return Specification(what, value, above.gamma, at_most, where=where, proof="scales, computed twice")
 
 
 def is_robust_design(entry: ControllerEntry) -> bool:

@@ -102,7 +102,7 @@ REACHES = {
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
-    "cvxpy": {"synth/lmi/sdp.py", "synth/design/uncertainty/parameter_dependent_kyp.py"},
+    "cvxpy": {"synth/lmi/sdp.py"},
     "tomllib": {"models/common/files.py"},
     "tomlkit": {"models/common/toml_edit.py"},
     "mujoco": {
@@ -242,7 +242,6 @@ SYSTEMS = {"LinearModel", "LinearLaw", "Plant", "StateSpace"}  # `Loop` and `Sam
 OTHERS = {
     "ControllerSection",  # keys of a file
     "RoadPreview",  # what a road ahead does
-    "Loops",  # a stack for one matrix inequality
 }
 
 

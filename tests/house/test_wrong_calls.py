@@ -123,7 +123,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             | {"largest_gain": None, "lower_bound": None, "states": states},
         ),
         "refine": (synth.refine, {**measured, "K": K, "Dyw": None}),
-        "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
+        "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None}),
         "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
         "MeasuredPlant": (synth.MeasuredPlant, {**measured, "Dyw": None}),
         "FamilyMember": (synth.FamilyMember, {"posed": (posed,), "driven_by": (), "signals": ()}),

@@ -145,7 +145,7 @@ def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) ->
         yield lambda Cy=Cy: synth.two_step_design(plant, Cy)
         yield lambda Cy=Cy, Dyw=Dyw: synth.static_output_feedback(plant, Cy, Dyw=Dyw)
         yield lambda Cy=Cy, K=K: synth.refine(plant, Cy, K)
-        yield lambda Cy=Cy: synth.slack_design([plant], [Cy])
+        yield lambda Cy=Cy: synth.design_feedback(plant, Cy, family=[plant.measured(Cy)])
         yield lambda Cy=Cy, Dyw=Dyw: synth.full_order_design(plant, Cy, Dyw)
         yield lambda: synth.lqr_design(plant)
         yield lambda Cy=Cy: synth.lqg_design(plant, Cy, [0.1] * q)

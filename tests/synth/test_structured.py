@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth.analysis.uncertainty_box import Loops, lmi
+from synth.analysis.uncertainty_box import lmi
 from synth.design.two_step import two_step_design
 from synth.lmi import central_path as central
 from synth.lmi import structured_barrier as structured
@@ -111,10 +111,9 @@ def test_forty_states():
 def test_loops_that_share_an_x_have_the_derivatives_of_the_dense_barrier():
     """One X of (20) of many loops: gradient, Newton step and rates are those of a barrier that knows no structure."""
     rng, V, n, r, d, eta = np.random.default_rng(20261123), 5, 4, 2, 3, 0.1
-    shapes = ((V, n, n), (V, n, r), (V, d, n), (V, d, r))
-    loops = Loops(*(rng.standard_normal(shape) for shape in shapes))
+    loops = rng.standard_normal((V, n + d, n + r))
     constant = lmi(loops, np.zeros((n, n)), eta)
-    stacked = StackedBarrier(constant, np.concatenate([loops.A, loops.C], axis=1))
+    stacked = StackedBarrier(constant, loops[:, :, :n])
     units = [stacked.matrix(unit) for unit in np.eye(n * (n + 1) // 2 + 1)[:-1]]
     blocks = [(np.zeros((n, n)), np.array([*units, np.zeros((n, n))]))]
     for v in range(V):

@@ -169,8 +169,10 @@ def describe(found: StabilityMargins) -> Document:
 def _errors_document(found: StabilityMargins) -> Document:
     """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
     controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
-    stable = fragile.predicted.stable.proved_margin
-    first = f"is proved for errors of up to {ERROR.text(stable)} of each signal" if stable else "with errors is not proved"
+    stable, proof = fragile.predicted.stable.proved_margin, fragile.predicted.stable.proof
+    first = (
+        f"is proved for errors of up to {ERROR.text(stable)} of each signal ({proof})" if stable else "with errors is not proved"
+    )
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
     details = [f"the smallest errors that make the loop unstable are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]

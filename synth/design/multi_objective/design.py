@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
-from synth.design.uncertainty.multipliers import stable_with_errors
+from synth.design.uncertainty.worst_case import stable_with_errors
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import numerics, up_to_rounding
 
@@ -40,8 +40,7 @@ class MultiObjectiveDesign:
         """Indices of the members whose stability with all errors of the tolerance is not proved; computed when first used.
 
         Without errors the poles of a loop prove its stability, of any plant.
-        No error that was found makes a loop unstable. If the proof is too large, as for many errors of a large plant,
-        `synth.design.uncertainty.worst_case.worst_norm` may prove it.
+        No error that was found makes a loop unstable.
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
@@ -51,7 +50,7 @@ class MultiObjectiveDesign:
                 members += [] if is_stable(loop.A, loop.dt) else [i]
                 continue
             with up_to_rounding():
-                if stable_with_errors(posed, self.gain, tolerance.sensors, tolerance.forces):
+                if stable_with_errors(posed, self.gain, tolerance.sensors, tolerance.forces) is not None:
                     continue
             members.append(i)
         return tuple(members)

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from models.common.errors import InputError
+from models.common.errors import InputError, listing
 from models.common.schema import read
 from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.plant.generalized import Plant
+
+MATRICES = "A", "B", "Bw", "C", "Cy"  # whose shapes are those of all plants of a family
 
 
 def norms_of(goals: Goals) -> list[NormOf]:
@@ -71,11 +73,11 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     """
     first = plants[0]
     for i, plant in enumerate(plants[1:]):
-        if plant.system_matrix.shape != first.system_matrix.shape or plant.B.shape != first.B.shape or plant.dt != first.dt:
+        if any(getattr(plant, name).shape != getattr(first, name).shape for name in MATRICES) or plant.dt != first.dt:
+            has, expected = ([f"{name} {getattr(one, name).shape}" for name in MATRICES] for one in (plant, first))
             raise InputError(
-                f"{where} family[{i}] has A of shape {plant.A.shape}, B of {plant.B.shape}, Bw of {plant.Bw.shape}, C of "
-                f"{plant.C.shape} and dt = {plant.dt}; expected those of the plant, {first.A.shape}, {first.B.shape}, "
-                f"{first.Bw.shape}, {first.C.shape} and {first.dt}"
+                f"{where} family[{i}] has the shapes {listing(has)}, and dt = {plant.dt}; expected those of the plant: "
+                f"{listing(expected)}, and dt = {first.dt}"
             )
     measured, forces, outputs = (
         _names(letter, count) for letter, count in zip("yuz", (len(first.Cy), *first.D.T.shape), strict=True)

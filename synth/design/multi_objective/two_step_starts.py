@@ -1,4 +1,4 @@
-"""Starts of multi-objective designs: the two steps of some members, by themselves and with a slack variable for all."""
+"""Starts of multi-objective designs: the two steps of some members."""
 
 from dataclasses import replace
 
@@ -8,7 +8,6 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import static_law
-from synth.design.multi_model import slack_design
 from synth.design.multi_objective.design import MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.problem import MultiObjectiveProblem
 from synth.design.multi_objective.search import Told
@@ -35,17 +34,7 @@ def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProble
 
 def run_search(asked: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
     """Runs the search, started from two-step designs of some members and from its own starts."""
-    return multi_objective_design(asked, two_step_gains(asked), on_progress, lambda: _slack(asked))
-
-
-def _slack(asked: MultiObjectiveProblem) -> list[Array]:
-    """The gain of the two steps with a slack variable, for all members at once."""
-    plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
-    try:
-        few = slack_design(plants, [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
-        return [plants[0].on_readings(on_all_rows(few, kept, len(kept)))]
-    except InputError:
-        return []
+    return multi_objective_design(asked, two_step_gains(asked), on_progress)
 
 
 def _of_state(posed: Plant) -> Array:

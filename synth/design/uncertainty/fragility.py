@@ -17,9 +17,9 @@ from models.common.printed import digits, finite, percent
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
-from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
+from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
-from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_maximum, prove_bound, vertex_search
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 
@@ -80,6 +80,7 @@ class ErrorMargin:
         bound: bound on the norm for these errors; infinite if nothing is proved.
         smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
         readings, forces: those relative errors, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
+        proof: kind of the proof; empty if nothing is proved.
     """
 
     proved_margin: float
@@ -87,6 +88,7 @@ class ErrorMargin:
     smallest_violation: float
     readings: Array
     forces: Array
+    proof: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,22 +176,20 @@ def _borne(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMa
         amount = _edge(heights, ray, 0.0, far, level)
         errors = amount * ray
     errors_at = errors_of(gain, _at(gain, errors))
-    if len(box_of_all(gain, 1.0).uncertain) > MOST:
-        return ErrorMargin(0.0, np.inf, amount, *errors_at)
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     sizes = [min(amount, 1.0) * (1 - smaller) for smaller in (tried if np.isfinite(amount) else (0.0, *tried))]
-    proved, bound = 0.0, np.inf
+    proved, bound, kind, middle = 0.0, np.inf, "", 0  # most often the largest is proved
     while sizes:  # what is proved of a box is true of smaller ones
-        middle = len(sizes) // 2
         box, within = box_of_all(gain, sizes[middle]), WorstCaseNormFunction(gain)
         if np.isinf(level):
             local_maximum(within, box)
         least = LOOSELY * within.highest if np.isinf(level) else level
-        if np.isfinite(least) and bisect_bound(within, box, least) is not None:
-            proved, bound, sizes = sizes[middle], least, sizes[:middle]
+        if np.isfinite(least) and (proof := prove_bound(within, box, least)) is not None:
+            proved, bound, kind, sizes = sizes[middle], least, proof.kind, sizes[:middle]
         else:
             sizes = sizes[middle + 1 :]
-    return ErrorMargin(proved, bound, amount, *errors_at)
+        middle = len(sizes) // 2
+    return ErrorMargin(proved, bound, amount, *errors_at, kind)
 
 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
@@ -239,6 +239,7 @@ def fragility_object(
     def borne(one: ErrorMargin) -> dict[str, Any]:
         return {
             "proved": one.proved_margin,
+            "proof": one.proof or None,
             "bound": finite(one.bound),
             "found": finite(one.smallest_violation),
             "readings": dict(zip(measured, one.readings.tolist(), strict=True)),
@@ -278,13 +279,17 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
 
 def proved_text(report: Fragility, norms: bool = True) -> str:
     """Returns the proved margins in words, those of the norm if requested."""
-    proved = report.stable.proved_margin
-    text = f"stability is proved for each error up to {_percents(proved)}" if proved else "stability is not proved"
+    text = f"stability is {_proved_text(report.stable, 'each error')}"
     for share, one in report.within.items() if norms else ():
         beyond = f", and errors of {_percents(one.smallest_violation)} exceed it" if math.isfinite(one.smallest_violation) else ""
-        proved = f"proved for errors up to {_percents(one.proved_margin)}" if one.proved_margin else "not proved for any error"
-        text += f"; a norm at most {_percents(share)} higher is {proved}{beyond}"
+        text += f"; a norm at most {_percents(share)} higher is {_proved_text(one, 'errors')}{beyond}"
     return text
+
+
+def _proved_text(one: ErrorMargin, what: str) -> str:
+    if not one.proved_margin:
+        return "not proved for any error"
+    return f"proved for {what} up to {_percents(one.proved_margin)} ({one.proof})"
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:

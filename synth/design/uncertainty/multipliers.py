@@ -15,46 +15,34 @@ of the box is stable, all of it is.
 
 The proof divides the frequencies into intervals, each with constant D and G. Within one, the frequencies at which the form is
 singular show that it is negative everywhere, as in `structured_bound.py`: nothing is sampled, and the search for multipliers is
-not believed. The number of unknowns grows with the number of errors, not with that of the corners of their box.
+not believed. The number of unknowns grows with the number of errors, not with that of the corners of their box. Multipliers are
+tight for constant errors. An X that all corners share (`worst_case.py`) is also valid for errors that change with time.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.linear import LinearLaw
 from synth.analysis.stability import is_stable
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
-from synth.design.uncertainty.parameter_dependent_lyapunov import stable_throughout
-from synth.design.uncertainty.problem import box_of, scaled_gain
-from synth.lmi.barrier import Barrier, newton
+from synth.design.uncertainty.structured_loop import StructuredLoop
+from synth.lmi.barrier import CENTRED, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
-NEAR = 3e-3  # relative; how far the bound lies above the best multipliers' peak
+NEAR = 3e-4  # relative; how far the bound lies above the best multipliers' peak
 EXACT = 1e-6  # relative: of p* D p and gamma^2 so much is left unused, for rounding
-FASTER, CENTRES, CLOSE = 8.0, 12, 1e-2  # of the path, as in `worst_case.py`
+CLOSE = 1e-5  # relative; how closely the least gamma^2 of one frequency is found
 LARGEST = 1e6  # of D and G, where p, q and z have size one
 MOST_PARTS, MOST_PEAKS = 100, 40
 SHORTEST = 1e-4  # relative; of a step in frequency
-ENOUGH = 0.99  # of gamma^2: the search for the least one ends below that
+ENOUGH = 0.9997  # of gamma^2: the search for the least one ends below that
 
 
-class CutLoop(NamedTuple):
-    """The loop of a box's middle, cut at its errors: a system from [p; w] to [q; z], and the number k of errors."""
-
-    system: Plant
-    errors: int
-
-    def responses(self, omega: Array) -> Array:
-        """Returns T(j omega), shape (F, k + d, k + r), for finite frequencies [rad/s] of shape (F,)."""
-        return self.system.frequency_response(omega)
-
-
-def cut_loop(gain: ScaledGain, box: Box) -> CutLoop:
-    """Returns the loop that is cut at the errors of a box.
+def cut_loop(gain: ScaledGain, box: Box) -> StructuredLoop:
+    """Returns the loop of a box's middle that is cut at the errors of the box.
 
     Raises:
         LinAlgError: the middle loop through the measurements is not well-posed.
@@ -69,22 +57,16 @@ def cut_loop(gain: ScaledGain, box: Box) -> CutLoop:
     u_x, u_w = acting @ plant.Cy, acting @ plant.Dyw
     u_p = closing @ np.hstack([middle[q:, None] * K @ into_y, half[q:][of_u] * np.eye(m)[:, of_u]])
     y_x, y_p, y_w = plant.Cy + plant.Dyu @ u_x, plant.Dyu @ u_p, plant.Dyw + plant.Dyu @ u_w
-    asked_p = K @ (middle[:q, None] * y_p + np.hstack([into_y, np.zeros((q, len(of_u)))]))
-    asked_x, asked_w = K @ (middle[:q, None] * y_x), K @ (middle[:q, None] * y_w)
+    law_p = K @ (middle[:q, None] * y_p + np.hstack([into_y, np.zeros((q, len(of_u)))]))
+    law_x, law_w = K @ (middle[:q, None] * y_x), K @ (middle[:q, None] * y_w)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
-    whole = Plant.without_inputs(
+    loop = Plant.without_inputs(
         A + B @ u_x,
-        np.hstack([B @ u_p, plant.Bw + B @ u_w]),
-        np.vstack([y_x[of_y], asked_x[of_u], C + D @ u_x]),
-        np.block([[y_p[of_y], y_w[of_y]], [asked_p[of_u], asked_w[of_u]], [D @ u_p, plant.Dw + D @ u_w]]),
+        np.hstack([plant.Bw + B @ u_w, B @ u_p]),
+        np.vstack([C + D @ u_x, y_x[of_y], law_x[of_u]]),
+        np.block([[plant.Dw + D @ u_w, D @ u_p], [y_w[of_y], y_p[of_y]], [law_w[of_u], law_p[of_u]]]),
     )
-    return CutLoop(whole, len(box.uncertain))
-
-
-def without_performance(loop: CutLoop) -> CutLoop:
-    """Returns the loop from p to q alone, which decides stability."""
-    M, k = loop.system, loop.errors
-    return CutLoop(Plant.without_inputs(M.A, M.Bw[:, :k], M.C[:k], M.Dw[:k, :k]), k)
+    return StructuredLoop(loop, len(box.uncertain))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,22 +79,25 @@ class MultiplierForm:
         square: gamma^2; no matter without w and z.
     """
 
-    loop: CutLoop
+    loop: StructuredLoop
     D: Array
     G: Array
     square: float
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
-        """Returns W, L and R of the form [T; I]* [W, L; L*, R] [T; I]: diagonals of W and R, and L, shape (k + d, k + r)."""
-        (rows, columns), k = self.loop.system.Dw.shape, self.loop.errors
+        """Returns W, L and R of the form [T; I]* [W, L; L*, R] [T; I]: diagonals of W and R, and L, shape (d + k, r + k)."""
+        (rows, columns), k = self.loop.loop.Dw.shape, self.loop.errors
         L = np.zeros((rows, columns), dtype=complex)
-        L[np.arange(k), np.arange(k)] = -1j * self.G
-        unused = 1 - EXACT
-        return np.append(self.D, np.ones(rows - k)), L, -unused * np.append(self.D, np.full(columns - k, self.square))
+        L[np.arange(rows - k, rows), np.arange(columns - k, columns)] = -1j * self.G
+        return (
+            np.append(np.ones(rows - k), self.D),
+            L,
+            (EXACT - 1) * np.append(np.full(columns - k, self.square), self.D),
+        )
 
     def at(self, T: Array) -> Array:
-        """Returns the largest eigenvalue for each of some frequency responses, shape (F,) for (F, k + d, k + r)."""
+        """Returns the largest eigenvalue for each of some frequency responses, shape (F,) for (F, d + k, r + k)."""
         W, L, R = self.weights
         adjoint = T.conj().swapaxes(-1, -2)
         across = adjoint @ L
@@ -125,7 +110,7 @@ class MultiplierForm:
 
         They are the eigenvalues of a Hamiltonian matrix; all their imaginary parts are taken, on the axis or not.
         """
-        M = self.loop.system
+        M = self.loop.loop
         A, B, C, D = M.A, M.Bw, M.C, M.Dw
         W, L, R = self.weights
         rest = W[:, None] * D + L
@@ -145,12 +130,11 @@ class MultiplierForm:
         """
         singular = self.singular()
         inside = singular[(singular > low) & (singular < high)]
-        last = 2 * max(low, float(inside.max(initial=0.0)), float(np.abs(np.linalg.eigvals(self.loop.system.A)).max()))
+        last = 2 * max(low, float(inside.max(initial=0.0)), float(np.abs(np.linalg.eigvals(self.loop.loop.A)).max()))
         ends = np.concatenate([[low], inside, [high if np.isfinite(high) else last]])
-        tried = np.concatenate([ends[:1], (ends[:-1] + ends[1:]) / 2])
-        responses = self.loop.responses(tried)
+        responses = self.loop.at(np.concatenate([ends[:1], (ends[:-1] + ends[1:]) / 2]))
         if np.isinf(high):
-            responses = np.concatenate([responses, self.loop.system.Dw[None].astype(complex)])
+            responses = np.concatenate([responses, self.loop.loop.Dw[None].astype(complex)])
         return bool(np.all(self.at(responses) < 0))
 
     def reach(self, omega: float) -> float:
@@ -159,9 +143,9 @@ class MultiplierForm:
         above = above[above > omega]
         for i, end in enumerate(above):
             following = (end + above[i + 1]) / 2 if i + 1 < len(above) else 2 * end
-            if not self.at(self.loop.responses(np.array([following])))[0] < 0:
+            if not self.at(self.loop.at(np.array([following])))[0] < 0:
                 return float(end)
-        return np.inf if self.at(self.loop.system.Dw[None].astype(complex))[0] < 0 else omega
+        return np.inf if self.at(self.loop.loop.Dw[None].astype(complex))[0] < 0 else omega
 
 
 class MultiplierInterval(NamedTuple):
@@ -175,59 +159,52 @@ class MultiplierInterval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MultiplierProof:
-    """A proof for all loops of a box, by intervals that fill a band.
+    """A proof for all loops of a box, by intervals that fill a band. At all frequencies it includes their stability.
 
     Attributes:
         low, high: the band [rad/s].
         parts: the intervals, ascending.
-        gamma: the bound on the norm in the band; infinite for stability alone.
+        bound: the bound on the norm in the band; infinite for stability alone.
     """
+
+    kind: ClassVar[str] = "multipliers, computed twice"
 
     low: float
     high: float
     parts: tuple[MultiplierInterval, ...]
-    gamma: float
+    bound: float
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if the parts prove the bound for all loops of a box, stable or not; or else their stability."""
-        ends = [self.low, *(part.high for part in self.parts)]
+        ends, whole = [self.low, *(part.high for part in self.parts)], (self.low, self.high) == (0.0, np.inf)
         if not self.parts or any(part.low > end for part, end in zip(self.parts, ends, strict=False)) or ends[-1] < self.high:
             return False
         if not gain.well_posed(box) or any(not np.all(part.D > 0) for part in self.parts):
             return False
         loop = cut_loop(gain, box)
-        if np.isinf(self.gamma):
-            loop = without_performance(loop)
-            if (self.low, self.high) != (0.0, np.inf) or not is_stable(loop.system.A):
-                return False
-        return all(MultiplierForm(loop, part.D, part.G, self.gamma**2).negative(part.low, part.high) for part in self.parts)
+        if (whole and not is_stable(loop.loop.A)) or (np.isinf(self.bound) and not whole):
+            return False
+        loop = loop.of_errors if np.isinf(self.bound) else loop
+        return all(MultiplierForm(loop, part.D, part.G, self.bound**2).negative(part.low, part.high) for part in self.parts)
 
 
-def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> bool:
-    """Returns True if the loop is proved stable for all errors, by either proof; arguments as for `worst_norm`."""
-    gain = scaled_gain(replace(plant, Dyw=None), K)
-    return all_stable(gain, box_of(gain, d, e))
-
-
-def all_stable(gain: ScaledGain, box: Box) -> bool:
-    """Returns True if all loops of a box are proved stable, by multipliers or by a matrix that moves with the errors."""
-    return stable_in_box(gain, box) is not None or stable_throughout(gain, box) is not None
-
-
-def bound_in_band(gain: ScaledGain, box: Box, low: float, high: float, found: float) -> MultiplierProof | None:
+def bound_in_band(
+    gain: ScaledGain, box: Box, low: float, high: float, first: float, tries: int = MOST_PEAKS
+) -> MultiplierProof | None:
     """Returns the proof of about the least bound on a norm in a band for a whole box, or None if none is found.
 
-    The bound does not imply stability.
+    In part of the frequencies the bound does not imply stability.
 
     Args:
         gain: loops of the gain, in continuous time, the middle one stable.
         low, high: the band [rad/s]; `high` may be infinite.
-        found: the largest norm found, from which the search begins.
+        first: the first bound that is tried, just above the largest norm found.
+        tries: number of bounds that are tried.
     """
-    if not 0 < found < np.inf or not len(box.uncertain) or not gain.well_posed(box):
+    if not 0 < first < np.inf or not len(box.uncertain) or not gain.well_posed(box):
         return None
-    search, parts, gamma = _Search(cut_loop(gain, box), found), list[MultiplierInterval](), found * (1 + NEAR)
-    for _ in range(MOST_PEAKS):
+    search, parts, gamma = _Search(cut_loop(gain, box), first), list[MultiplierInterval](), first
+    for _ in range(tries):
         try:
             higher = search.cover(parts, low, high, gamma)
         except np.linalg.LinAlgError:  # rounding leaves no answer
@@ -245,12 +222,11 @@ def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
     """Returns a proof that all loops of a box are stable, or None if none is found."""
     if not len(box.uncertain) or not gain.well_posed(box):
         return None
-    tried = box.vertices if len(box.uncertain) <= MOST else box.middle
-    if not np.all(np.linalg.eigvals(gain.loops(tried).A).real < 0):
+    if not gain.stable(box.vertices if len(box.uncertain) <= MOST else box.middle):
         return None
     parts = list[MultiplierInterval]()
     try:
-        if _Search(without_performance(cut_loop(gain, box)), 1.0).cover(parts, 0.0, np.inf, np.inf) is not None:
+        if _Search(cut_loop(gain, box).of_errors, 1.0).cover(parts, 0.0, np.inf, np.inf) is not None:
             return None
     except np.linalg.LinAlgError:  # rounding leaves no answer
         return None
@@ -261,9 +237,10 @@ def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
 class _Search:
     """The search for multipliers of a loop."""
 
-    def __init__(self, loop: CutLoop, unit: float) -> None:
+    def __init__(self, loop: StructuredLoop, unit: float) -> None:
         self.loop, self.unit = loop, unit
-        self.fastest = float(np.abs(np.linalg.eigvals(loop.system.A)).max())
+        self.last: Array | None = None
+        self.fastest = float(np.abs(np.linalg.eigvals(loop.loop.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
         """Adds intervals that prove a bound, to those that prove a lower one, until they fill a band, and returns None.
@@ -277,9 +254,10 @@ class _Search:
                 return None
             ahead = min(here + step, high)
             for at in (ahead, (here + ahead) / 2, here + (ahead - here) / 8, here):
-                least, D, G = self.multipliers(at, gamma)
-                if D is None or G is None:
+                least, found = self.multipliers(at, gamma)
+                if found is None:
                     return least
+                D, G = np.split(found, 2)
                 form = MultiplierForm(self.loop, D, G, gamma**2)
                 if at == here or form.negative(here, at):
                     break
@@ -290,79 +268,84 @@ class _Search:
             here, step = end, 2 * max(at - here, (end - here) / 2) if np.isfinite(end) else 1.0
         return np.inf
 
-    def multipliers(self, omega: float, gamma: float) -> tuple[float, Array | None, Array | None]:
-        """Returns D and G in the middle of those that prove a bound at a frequency; or else the least bound, and None twice."""
-        T = self.loop.responses(np.array([omega]))[0]
-        k = self.loop.errors
-        start = k if np.isfinite(gamma) else 0  # without w and z the errors alone decide
-        T[k:] /= self.unit
-        into, seen = np.linalg.norm(T[start:, :k], axis=0), np.linalg.norm(T[:k, start:], axis=1)
+    def multipliers(self, omega: float, gamma: float) -> tuple[float, Array | None]:
+        """Returns a bound, and [D, G] in the middle of those that prove a given one at a frequency; see `_multipliers`."""
+        T, k = self.loop.at(np.array([omega]))[0], self.loop.errors
+        d, r = (size - k for size in T.shape)
+        T[:d] /= self.unit
+        of_z, of_w = (slice(d), slice(r)) if self.loop.performance else (slice(None), slice(None))  # or the errors alone decide
+        into, seen = np.linalg.norm(T[of_z, r:], axis=0), np.linalg.norm(T[d:, of_w], axis=1)
         size = np.sqrt(np.where((into > 0) & (seen > 0), into / np.where(seen > 0, seen, 1.0), 1.0))
-        T[:k] *= size[:, None]
-        T[:, :k] /= size
-        least, D, G = _multipliers(T, k, (gamma / self.unit) ** 2)
-        if D is None or G is None:
-            return self.unit * least**0.5, None, None
-        of_both = (self.unit * size) ** 2
-        return self.unit * least**0.5, of_both * D, of_both * G
+        T[d:] *= size[:, None]
+        T[:, r:] /= size
+        of_both, square = np.tile((self.unit * size) ** 2, 2), (gamma / self.unit) ** 2
+        try:
+            least, found = _multipliers(T, k, square, None if self.last is None else self.last / of_both)
+        except np.linalg.LinAlgError:  # those of the frequency before hardly serve
+            least, found = _multipliers(T, k, square, None)
+        if found is None:
+            return self.unit * least**0.5, None
+        self.last = of_both * found
+        return self.unit * least**0.5, self.last
 
 
-def _multipliers(T: Array, k: int, square: float) -> tuple[float, Array | None, Array | None]:
-    """Returns a gamma^2 that is proved of a response, and D and G in the middle of those that prove a given one.
+def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[float, Array | None]:
+    """Returns a gamma^2 that is proved of a response, and [D, G] in the middle of those that prove a given one, shape (2 k,).
 
-    If the given one is too low, it is the least one, infinite without any, and D and G are None.
+    If the given one is too low, it is the least one, infinite without any, and there are no D and G.
+
+    Args:
+        start: [D, G] of a response nearby; None without one.
     """
-    columns = T.shape[1]
+    d, r = (size - k for size in T.shape)
     N = 2 * k + 1
-    F = np.zeros((N, columns, columns), dtype=complex)  # of -M
+    F = np.zeros((N, r + k, r + k), dtype=complex)  # of -M
     for i in range(k):
-        F[i] = -np.outer(T[i].conj(), T[i])
-        F[i, i, i] += 1
-        row = np.zeros((columns, columns), dtype=complex)
-        row[i] = -1j * T[i]
+        F[i] = -np.outer(T[d + i].conj(), T[d + i])
+        F[i, r + i, r + i] += 1
+        row = np.zeros((r + k, r + k), dtype=complex)
+        row[r + i] = -1j * T[d + i]
         F[k + i] = row + row.conj().T
-    F0 = -T[k:].conj().T @ T[k:]
-    limits = np.zeros((N, 4 * k, 4 * k))
-    for i in range(k):
-        limits[i, i, i], limits[i, k + i, k + i] = 1, -1
-        limits[k + i, 2 * k + i, 2 * k + i], limits[k + i, 3 * k + i, 3 * k + i] = 1, -1
-    bounds = np.diag(np.repeat([0.0, LARGEST, LARGEST, LARGEST], k))
+    F0 = -T[:d].conj().T @ T[:d]
+    bounds = list[Block]()
+    for first, sign, most in ((0, 1, 0.0), (0, -1, LARGEST), (k, 1, LARGEST), (k, -1, LARGEST)):  # of D and G
+        limits = np.zeros((N, k, k))
+        limits[first + np.arange(k), np.arange(k), np.arange(k)] = sign
+        bounds.append((most * np.eye(k), limits))
     # First without w and z.
-    own = F[:, :k, :k].copy()
+    own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)
-    p = np.append(np.ones(k), np.zeros(k + 1))
-    p[-1] = 1.0 + max(0.0, -float(np.linalg.eigvalsh(np.tensordot(p, own, 1))[0]))
-    p = _along(Barrier([(np.zeros((2 * k, 2 * k)), _real(own)), (bounds, limits)]), p, lambda p: p[-1] < 0)
-    if not p[-1] < 0:
-        return np.inf, None, None
+
+    def above(DG: Array) -> float:
+        return -float(np.linalg.eigvalsh(np.tensordot(DG, own[:-1], 1))[0])
+
+    p = np.append(np.zeros(2 * k) if start is None else start, 0.0)
+    if start is None or not above(start) < 0 or not np.abs(start).max() < LARGEST / 2:
+        p[: 2 * k] = np.repeat([1.0, 0.0], k)
+        p[-1] = 1.0 + max(0.0, above(p[:-1]))
+        p = _lowest([(np.zeros((2 * k, 2 * k)), _real(own)), *bounds], p, 0.0)
+        if not p[-1] < 0:
+            return np.inf, None
     if np.isinf(square):
-        return np.inf, p[:k], p[k : 2 * k]
-    of_w = np.arange(k, columns)
+        return np.inf, p[:-1]
+    of_w = np.arange(r)
     F[-1, of_w, of_w] = 1
     p[-1] = 0.0
     M = F0 + np.tensordot(p, F, 1)
-    inner = np.linalg.solve(M[:k, :k], M[:k, k:])
-    p[-1] = 1.0 + 2 * max(0.0, -float(np.linalg.eigvalsh(M[k:, k:] - M[k:, :k] @ inner)[0]))
-    blocks = [(_real(F0[None])[0], _real(F)), (bounds, limits)]
-    p = _along(Barrier(blocks), p, lambda p: p[-1] < ENOUGH * square, square)
+    inner = np.linalg.solve(M[r:, r:], M[r:, :r])
+    p[-1] = square + 2 * max(0.0, -float(np.linalg.eigvalsh(M[:r, :r] - M[:r, r:] @ inner)[0]))
+    blocks = [(_real(F0[None])[0], _real(F)), *bounds]
+    p = _lowest(blocks, p, ENOUGH * square, CLOSE * square)
     if not p[-1] < square:
-        return float(p[-1]), None, None
+        return float(p[-1]), None
     last = np.zeros((N, 1, 1))
     last[-1] = -1
-    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), CLOSE)
-    return float(p[-1]), p[:k], p[k : 2 * k]
+    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), CENTRED)
+    return float(p[-1]), p[:-1]
 
 
-def _along(barrier: Barrier, p: Array, leave: Callable[[Array], bool], floor: float = 0.0) -> Array:
-    """Returns the point at which the last unknown is least, on the central path, or one at which to leave the path."""
-    c, weight = np.zeros(len(p)), 1.0 / max(p[-1] - floor, 1e-3)
-    for _ in range(CENTRES):
-        c[-1] = weight
-        p, _, _ = newton(barrier, p, c, CLOSE, leave)
-        if leave(p):
-            break
-        weight *= FASTER
-    return p
+def _lowest(blocks: Sequence[Block], p: Array, enough: float, close: float = np.inf) -> Array:
+    return lowest_last(Barrier(blocks), p, sum(len(F0) for F0, _ in blocks), enough, close)
 
 
 def _real(M: Array) -> Array:

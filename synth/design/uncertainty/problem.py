@@ -53,17 +53,6 @@ def errors_of(gain: ScaledGain, factors: Array) -> tuple[Array, Array]:
     return factors[: gain.readings] - 1, factors[start : start + gain.forces] - 1
 
 
-def vertices(d: Array, e: Array) -> list[tuple[Array, Array]]:
-    """Returns the corners of a box of errors: factors of measurements and forces, shapes (q,) and (m,).
-
-    Args:
-        d: relative error of each measurement, shape (q,).
-        e: relative error of each force, shape (m,).
-    """
-    width = np.concatenate([d, e])
-    return [(factors[: len(d)], factors[len(d) :]) for factors in Box(1 - width, 1 + width).vertices]
-
-
 def _tolerance(value: Array | float, count: int, of: str) -> Array:
     try:
         width = np.array(np.broadcast_to(np.asarray(value, dtype=float), count))

@@ -5,11 +5,12 @@ The X of the bound is found by Newton's method on a barrier:
     minimise t   so that   (20) of every loop  <=  t I,   X > 0,
 
 in coordinates in which a first X is I; once t is below zero, X will do. Few corners decide: those at which an X fails join the
-ones that it is found for, and others need not.
+ones that it is found for, and others need not. Where no X is found, the box falls into parts, each with its own. Multipliers
+(`multipliers.py`) follow if that proves nothing close: one X for all errors is conservative for constant ones.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize
@@ -20,10 +21,11 @@ from models.laws.linear import LinearLaw
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of
 from synth.analysis.norm import hinf_norm
-from synth.analysis.uncertainty_box import MOST, Box, BoxProof, Loops, ScaledGain, lmi, proves
+from synth.analysis.uncertainty_box import MOST, Box, BoxProof, ScaledGain, lmi, proves
 from synth.design.descent.landscape import Landscape
+from synth.design.uncertainty.multipliers import NEAR, MultiplierProof, bound_in_band, stable_in_box
 from synth.design.uncertainty.problem import box_of, errors_of, scaled_gain
-from synth.lmi.barrier import boundary, newton
+from synth.lmi.barrier import lowest_last
 from synth.lmi.stacked_barrier import StackedBarrier
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics
@@ -150,18 +152,12 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
 def norm_at(gain: ScaledGain, factors: Array) -> float:
     """The norm under factors by two routes, infinite where the loop is unstable or has no answer."""
     try:
-        A, Bw, C, Dw = gain.loops(factors)
+        loop = gain.loop(factors)
     except np.linalg.LinAlgError:
         return np.inf
-    return hinf_norm(Plant.without_inputs(A, Bw, C, Dw)).value
+    return hinf_norm(loop).value
 
 
-FASTER = 8.0  # how much weight t gains from one centre to the next
-CENTRES = 12  # of the path; then t is known to eight digits
-NEAR = 1e-2  # of the Newton decrement at a centre
-INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
-SHORTEST = 1e-10  # likewise, of that step
-SURE = 1.1  # times as far as the least t can be from a centre's
 JOIN = 4  # corners that join in a round
 
 
@@ -185,66 +181,48 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
         if not len(failing):
             return X if highest.max() < 0 else None
         among = np.concatenate([among, failing[np.argsort(-highest[failing], kind="stable")[:JOIN]]])
-        improved = _for_all(Loops(*(part[among] for part in everywhere)), X, eta)
+        improved = _for_all(everywhere[among], X, eta)
         if improved is None:
             return None
         X = improved
 
 
-def _highest(loops: Loops, X: Array, eta: float) -> Array:
+def _highest(loops: Array, X: Array, eta: float) -> Array:
     """The largest eigenvalue of (20) of each loop, in coordinates in which X is I, shape (V,)."""
-    n, k = len(X), len(X) + loops.C.shape[-2]
-    inverse = np.eye(k)
+    n = len(X)
+    inverse = np.eye(loops.shape[-2])
     inverse[:n, :n] = np.linalg.inv(np.linalg.cholesky(X))
     return np.linalg.eigvalsh(inverse @ lmi(loops, X, eta) @ inverse.T)[:, -1]
 
 
-def _for_all(loops: Loops, start: Array, eta: float) -> Array | None:
+def _for_all(loops: Array, start: Array, eta: float) -> Array | None:
     """Returns an X that satisfies (20) of every loop, or None."""
     T = np.linalg.cholesky(start)
-    inverse = np.linalg.inv(T)
-    own = Loops(inverse @ loops.A @ T, inverse @ loops.Bw, loops.C @ T, loops.Dw)
-    n, k = len(T), len(T) + own.C.shape[-2]
-    barrier = StackedBarrier(lmi(own, np.zeros((n, n)), eta), np.concatenate([own.A, own.C], axis=-2))
-    p = np.append(barrier.unknowns(np.eye(n)), 0.0)
+    n, k = len(T), loops.shape[-2]
+    own = loops.copy()
+    own[:, :n] = np.linalg.solve(T, own[:, :n])
+    own[..., :n] = own[..., :n] @ T
+    barrier = StackedBarrier(lmi(own, np.zeros((n, n)), eta), own[..., :n])
     least = float(np.linalg.eigvalsh(lmi(own, np.eye(n), eta)).max())
-    p[-1] = 1.5 * max(least, 1e-3)
-    count = n + len(own.A) * k
-    c, along, weight, here = np.zeros(len(p)), np.zeros(len(p)), count / p[-1], None
-    along[-1] = 1.0
-    for _ in range(CENTRES):
-        c[-1] = weight
-        p, _, here = newton(barrier, p, c, NEAR, lambda p: p[-1] < 0, here)
-        on_path = 0 <= p[-1] <= SURE * count / weight
-        if on_path:
-            # Along the tangent of the path, but inside: near the boundary rounding may say otherwise, and then less far.
-            step = -(1 - 1 / FASTER) * weight * here.solve(here.half(along))
-            length, start, here = min(1.0, INSIDE * boundary(here, step)), p, None
-            while here is None and length > SHORTEST:
-                p, length = start + length * step, length / 2
-                if p[-1] < 0:
-                    break
-                here = barrier.at(p)
-            weight *= FASTER
-        if p[-1] < 0:
-            X = T @ barrier.matrix(p) @ T.T
-            return (X + X.T) / 2
-        if here is None or not on_path:  # a centre's t is no further than that from the least
-            return None
-    return None
+    p = np.append(barrier.unknowns(np.eye(n)), 1.5 * max(least, 1e-3))
+    p = lowest_last(barrier, p, n + len(own) * k, 0.0)
+    X = T @ barrier.matrix(p) @ T.T
+    return (X + X.T) / 2 if p[-1] < 0 else None
 
 
 CLOSEST = 1e-4  # relative; how far above the largest norm met a bound is tried, and no closer
-CLOSER = (0.1, 1e-2, 1e-3, CLOSEST)  # likewise in turn, where the box has to fall into parts for it
-LOOSE = (1.0, 10.0)  # where the first of these fails
+CLOSER = (1e-2, 1e-3, CLOSEST)  # likewise in turn, where the box has to fall into parts for it
+LOOSE = (0.1, 1.0, 10.0)  # where the first of these fails, and multipliers, too
+TIGHT = 1e-3  # a bound so close needs no multipliers
 TRIALS = 600  # over the square of the number of states: how often an X is looked for at most
 FEWEST = 4  # of them at least
 PATIENT = 4  # times the trials, for a bound that is asked about
-CHEAPLY = 3  # times fewer trials where a bound is one of many
 SPARE = 1e-2  # of how far a bound is above a norm: what of it the first X leaves unused
+FAR = 1e4  # times a norm: a bound of loops that need only be stable
 EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the first X that w does not reach
 
 Parts = list[tuple[Box, Array | None]]  # of a box, each with an X of (20) if one is known
+Proof = BoxProof | MultiplierProof
 
 
 def _trials(heights: WorstCaseNormFunction) -> int:
@@ -252,42 +230,58 @@ def _trials(heights: WorstCaseNormFunction) -> int:
     return max(FEWEST, TRIALS // len(heights.gain.plant.A) ** 2)
 
 
-def search_bound(heights: WorstCaseNormFunction, box: Box) -> BoxProof | None:
+def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
     """Proves a bound on a box just above the largest norm found; stores larger norms found on the way."""
 
-    def level(above: float) -> Callable[[], float]:
-        return lambda: heights.highest * (1 + above)
+    def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
+        return _filled(heights, parts, lambda: heights.highest * (1 + above), left)
 
     whole: Parts = [(box, None)]
-    if (parts := _filled(heights, whole, level(CLOSEST), 1)[0]) is not None:
-        return _proof(parts, level(CLOSEST))
-    tried, left, best = whole, _trials(heights), None
+    if (parts := tried(CLOSEST, whole, 1)[0]) is not None:
+        return _proof(parts, heights.highest * (1 + CLOSEST))
+    best: Proof | None = None
+    parts, left = whole, _trials(heights)
     for above in CLOSER:
-        parts, left = _filled(heights, tried, level(above), left)
-        if parts is None:
+        filled, left = tried(above, parts, left)
+        if filled is None:
             break
-        tried, best = parts, _proof(parts, level(above))
+        parts, best = filled, _proof(filled, heights.highest * (1 + above))
+    if best is None or best.bound > heights.highest * (1 + TIGHT):
+        best = bound_in_band(heights.gain, box, 0.0, np.inf, heights.highest * (1 + NEAR)) or best
     for above in LOOSE if best is None else ():
-        parts, _ = _filled(heights, whole, level(above), _trials(heights))
-        if parts is not None:
-            return _proof(parts, level(above))
+        filled, _ = tried(above, whole, _trials(heights))
+        if filled is not None:
+            return _proof(filled, heights.highest * (1 + above))
     return best if np.isfinite(heights.highest) else None
 
 
-def bisect_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
-    """Returns the proof of a bound on a box if it is cheap to find; stores larger norms found on the way."""
-    parts, _ = _filled(heights, [(box, None)], lambda: bound, _trials(heights) // CHEAPLY)
-    return _proof(parts, lambda: bound) if parts is not None else None
+def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, trials: int = 0) -> Proof | None:
+    """Returns the proof of a given bound: by an X for the whole box, by multipliers, or by an X for each part of the box.
+
+    Args:
+        trials: largest number of attempts to find an X for a part; larger norms found on the way are stored.
+    """
+    parts: Parts | None = [(box, None)]
+    for left in (1, trials):
+        filled, _ = _filled(heights, parts, lambda: bound, left)
+        if filled is not None:
+            return _proof(filled, bound)
+        if left == 1 and heights.highest < bound and (proof := bound_in_band(heights.gain, box, 0.0, np.inf, bound, tries=1)):
+            return proof
+    return None
 
 
-def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
-    """Returns the proof of a given bound, after a long search."""
-    parts, _ = _filled(heights, [(box, None)], lambda: bound, PATIENT * _trials(heights))
-    return _proof(parts, lambda: bound) if parts is not None else None
+def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> Proof | None:
+    """Returns a proof that the loop is stable for all errors, or None if none is found; arguments as for `worst_norm`."""
+    gain = scaled_gain(replace(plant, Dyw=None), K)
+    box, heights = box_of(gain, d, e), WorstCaseNormFunction(gain)
+    if not np.isfinite(norm := heights.norm(box.middle)):
+        return None
+    return prove_bound(heights, box, FAR * norm) or stable_in_box(gain, box)
 
 
-def _proof(parts: Parts, bound: Callable[[], float]) -> BoxProof:
-    return BoxProof(eta_of(bound()), [(part, X) for part, X in parts if X is not None])
+def _proof(parts: Parts, bound: float) -> BoxProof:
+    return BoxProof(eta_of(bound), [(part, X) for part, X in parts if X is not None])
 
 
 def _filled(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
@@ -323,10 +317,8 @@ def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None
     norm = heights.norm(box.middle)
     if not norm < level or not gain.well_posed(box):
         return None
-    A, Bw, C, Dw = gain.loops(box.middle)
-    loop = Plant.without_inputs(A, Bw, C, Dw)
     try:
-        start = bounding_x(loop, level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
+        start = bounding_x(gain.loop(box.middle), level, SPARE * min(level / norm - 1, 1.0), EVERYWHERE)
         X = common_x(gain, box, start, eta)
     except (np.linalg.LinAlgError, ValueError):  # too close to the norm for floats
         return None
@@ -356,14 +348,14 @@ class WorstNorm:
         readings: relative errors of the measurements at that norm, shape (q,).
         forces: relative errors of the forces at that norm, shape (m,).
         proved: upper bound on all norms in the box, stability included; infinite if not proved.
-        proof: proof of that bound; None if it is not proved.
+        proof: proof of that bound, by a common X or by multipliers; None if it is not proved.
     """
 
     found: float
     readings: Array
     forces: Array
     proved: float
-    proof: BoxProof | None
+    proof: Proof | None
 
     @property
     def gap(self) -> float:
@@ -427,6 +419,6 @@ def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
     local_maximum(heights, box)
     proof = search_bound(heights, box)
     if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
-        proof = prove_bound(heights, box, enough) or proof
+        proof = prove_bound(heights, box, enough, PATIENT * _trials(heights)) or proof
     largest = norm_at(gain, heights.at)
     return WorstNorm(largest, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)
