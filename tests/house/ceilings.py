@@ -56,7 +56,8 @@ bump stops                                                      565    194      
 parts of a suspension                                          1951   1571      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
-    tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py
+    tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
+    tests/models/test_set_voltages.py
 loads, links, tyre damping                                      764   1532     54
     models/roads/load*.py models/kinds/links.py sim/runs/forces.py docs/how-to/suspension-kinematics.md
     tests/*/test_{acting,loads,tyre_damping,vehicle_options,weighed_loads}.py
