@@ -23,6 +23,7 @@ from models.common.printed import brief, digits, percent, rough
 from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.two_step import (
     LARGEST_GAIN,
@@ -44,7 +45,11 @@ if TYPE_CHECKING:
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
+ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # how a norm is lowered
+EQUATION = "a Riccati equation for the state feedback"
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
+ROUNDING = 1e-6  # relative; two steps that are above the norm without control by less are left at that
 MOST_DOUBLINGS = 100  # of a gain from zero
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
@@ -65,6 +70,9 @@ def _lost(plant: Plant, steps: Design, largest_gain: float) -> str:
     The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
     to that X all the same. So with filters, and with them alone, the two steps are mended rather than believed.
     """
+    norm, passive = steps.certificate.norm.value, _without_control(plant)
+    if passive < norm * (1 - ROUNDING):
+        return f"the two-step method ends at {digits(norm)}, above {digits(passive)} without control"
     entry = float(np.abs(steps.gain).max(initial=0.0))
     if largest_gain < LARGEST_GAIN and entry > largest_gain:
         return f"the two-step method needs a gain of {rough(entry)}, but {largest_gain:g} is the largest allowed"
@@ -72,7 +80,14 @@ def _lost(plant: Plant, steps: Design, largest_gain: float) -> str:
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"the two-step method ends at {digits(steps.certificate.norm.value)}{far}: its X needs filter states, which y lacks"
+    return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
+
+
+def _without_control(plant: Plant) -> float:
+    """Returns the norm without control; infinite if the plant is unstable."""
+    return (
+        hinf_norm(plant.closed_loop(np.zeros((plant.B.shape[1], len(plant.A))))).value if is_stable(plant.A, plant.dt) else np.inf
+    )
 
 
 @numerics()
@@ -141,8 +156,9 @@ def near_lower_bound(
     """Returns the result of `two_steps_or_descent`, or of a descent from there, and a remark on that descent.
 
     Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
-    0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept,
-    unless it takes poles beyond any actuator.
+    0.1 % of the norm. If all states are measured without noise, a Riccati equation has another gain, as near the bound as
+    `largest_gain` allows, if that is given, or else actuators. Where that ends more than 1 % above the bound, descents begin
+    elsewhere, too. The lower norm is kept, unless it takes poles beyond any actuator.
 
     Args:
         plant, states, largest_gain: arguments of `two_steps_or_descent`.
@@ -169,12 +185,13 @@ def near_lower_bound(
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"the two-step method reaches norm {digits(design.certificate.norm.value)}{far}; descent from its gain"
-    lower, growth = _refined(plant, design, below, largest_gain, work)
-    stopped = f"; {work.text}" if work.over else ""
+    came = f"the two-step method reaches norm {digits(design.certificate.norm.value)}{far}; "
+    lower, growth, origin, nearer = _refined(plant, design, below, largest_gain, work)
+    came += origin
+    stopped = nearer + (f"; {work.text}" if work.over else "")
     if lower is None:
         return design, f"{came} finds no lower norm{stopped}"
-    if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
+    if origin != EQUATION and lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
         at = f"{digits(lower.certificate.norm.value)} with poles too fast for actuators"
         return design, f"{came} ends at {at}, so the gain of the two-step method is kept{stopped}"
     return lower, f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}"
@@ -182,10 +199,11 @@ def near_lower_bound(
 
 def _refined(
     plant: Plant, design: Design, below: LowerBound | None, largest_gain: float, work: "Work"
-) -> tuple[Design | None, float]:
-    """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
+) -> tuple[Design | None, float, str, str]:
+    """Returns a design of a lower norm, the growth of the gain, the start, and a remark; None if no design is found.
 
-    From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
+    From the gain of the two steps, and of a Riccati equation if all states are measured, the norm falls within one valley. Where
+    that ends far above the lower bound others are searched, too.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.refine import SEEN, WORTH, refine
@@ -194,24 +212,54 @@ def _refined(
     q = len(plant.Cy)
     kept = [i for i in range(q) if i not in design.redundant]
     few, start = plant.rows(kept), design.gain[:, kept]
-    lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
+    lowest, faster, growth, size, origin = design, None, 1.0, float(np.abs(start).max(initial=0.0)), ITS_GAIN
+    equation, nearer = _state_feedback(few, below, largest_gain)
     search = partial(descended, few, replace(design, gain=start), largest_gain, below, work=work)
-    for descend in (partial(refine, few, None, start), *(partial(search, most=most) for most in LIMITS)):
+    gains: list[tuple[str, Callable[[], Array]]] = [(EQUATION, lambda K=K: K) for K in equation]
+    gains.append((ITS_GAIN, lambda: refine(few, None, start).gain))
+    gains += [(SEARCHED, lambda most=most: search(most=most).gain) for most in LIMITS]
+    for name, gain_of in gains:
         fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = descend().gain
+            gain = gain_of()
             grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
             certificate = certify_law(few, static_law(gain), below)
-            fast = certificate.beyond_actuators and not design.certificate.beyond_actuators
+            fast = certificate.beyond_actuators and not (name == EQUATION or design.certificate.beyond_actuators)
             price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
             lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
             if lower and not certificate.failures and grown * size <= largest_gain:
                 found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, q, 0.0)
-                lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
+                if fast:
+                    faster = faster or found
+                else:
+                    lowest, faster, growth, origin = found, faster, grown, name
         gap = lowest.certificate.gap
-        if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
+        near = gap is not None and gap <= FAR and (lowest is not design or name != EQUATION)
+        if near or (name == SEARCHED and not fast):
             break
-    return lowest if lowest is not design else faster, growth
+    return lowest if lowest is not design else faster, growth, origin, nearer
+
+
+def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float) -> tuple[list[Array], str]:
+    """Returns the state feedback of a Riccati equation nearest to the lower bound that is not too fast, and why none is nearer.
+
+    Poles beyond any actuator are accepted if a largest gain is given. None is returned unless all states are measured.
+    """
+    from synth.analysis.bounding import certify_law
+    from synth.design.descent.landscape import Landscape
+    from synth.design.descent.starts import state_feedback_start
+
+    landscape, why = Landscape(plant), ""
+    for share in LEVELS if below is not None else ():
+        for x in state_feedback_start(landscape, below.gamma * (1 + share)):
+            K = landscape.gain(x)
+            entry, beyond = float(np.abs(K).max()), "with poles too fast for actuators; give largest_gain to allow them"
+            if entry > largest_gain:
+                beyond = f"but {largest_gain:g} is the largest allowed"
+            elif largest_gain < LARGEST_GAIN or not certify_law(plant, static_law(K), below).beyond_actuators:
+                return [K], why
+            why = why or f"; {percent(share)} above the bound needs a gain of {rough(entry)}, {beyond}"
+    return [], why
 
 
 def _known_gain(plant: Plant, two_steps: Design | str, lower_bound: LowerBound | None) -> tuple[Array, Certificate, str] | None:
