@@ -8,6 +8,7 @@ noise leave a solution far above the lower bound, the descent continues from it.
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -38,9 +39,12 @@ from synth.plant.numerics import DesignError, NoSolutionError
 if TYPE_CHECKING:
     from synth.design.descent.landscape import Work
 
+ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # how a norm is lowered
+EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
+LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
 SEEN = 1e-6  # relative: what a table of seven digits shows
@@ -64,8 +68,8 @@ def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     if plant.weights and (gap is None or gap > FAR):
         return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
-    if is_stable(plant.A, plant.dt) and (without := hinf_norm(plant).value) < norm * (1 - SEEN):
-        return f"the two-step method ends at {digits(norm)}, and without control the norm is {digits(without)}"
+    if is_stable(plant.A, plant.dt) and (passive := hinf_norm(plant).value) < norm * (1 - SEEN):
+        return f"the two-step method ends at {digits(norm)}, above {digits(passive)} without control"
     return ""
 
 
@@ -109,8 +113,9 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
 def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Lowers the norm of two steps that end more than 0.1 % above the lower bound, as `refine` does.
 
-    Each doubling of the gain is worth 0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere,
-    too. The lower norm is kept, unless it takes poles beyond any actuator.
+    Each doubling of the gain is worth 0.1 % of the norm. If all states are measured without noise, a Riccati equation has another
+    gain, as near the bound as `largest_gain` allows, if that is given, or else actuators. Where that ends more than 1 % above the
+    bound, descents begin elsewhere, too. The lower norm is kept, unless it takes poles beyond any actuator.
     """
     result, work = problem.start, problem.work
     assert result is not None, "a design comes first"
@@ -122,12 +127,13 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
         work = bounded_work(problem.plant)
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    came = f"the two-step method reaches norm {digits(result.certificate.norm.value)}{far}; descent from its gain"
-    lower, growth = _refined(problem.plant, result, problem.lower_bound, problem.largest_gain, work)
-    stopped = f"; {work.text}" if work.over else ""
+    came = f"the two-step method reaches norm {digits(result.certificate.norm.value)}{far}; "
+    lower, growth, origin, nearer = _refined(problem.plant, result, problem.lower_bound, problem.largest_gain, work)
+    came += origin
+    stopped = nearer + (f"; {work.text}" if work.over else "")
     if lower is None:
         return replace(result, why=f"{came} finds no lower norm{stopped}", method=BOTH)
-    if lower.certificate.beyond_actuators and not result.certificate.beyond_actuators:
+    if origin != EQUATION and lower.certificate.beyond_actuators and not result.certificate.beyond_actuators:
         at = f"{digits(lower.certificate.norm.value)} with poles too fast for actuators"
         return replace(result, why=f"{came} ends at {at}, so the gain of the two-step method is kept{stopped}", method=BOTH)
     return replace(lower, why=f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}", method=BOTH)
@@ -135,10 +141,11 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
 
 def _refined(
     plant: Plant, design: DesignResult, below: LowerBound | None, largest_gain: float, work: "Work"
-) -> tuple[DesignResult | None, float]:
-    """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
+) -> tuple[DesignResult | None, float, str, str]:
+    """Returns a design of a lower norm, the growth of the gain, the start, and a remark; None if no design is found.
 
-    From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
+    From the gain of the two steps, and of a Riccati equation if all states are measured, the norm falls within one valley. Where
+    that ends far above the lower bound others are searched, too.
     """
     from synth.analysis.bounding import certify_law
     from synth.design.descent.refine import WORTH, refine
@@ -147,24 +154,54 @@ def _refined(
     q = len(plant.Cy)
     kept = [i for i in range(q) if i not in design.redundant]
     few, start = plant.rows(kept), design.gain[:, kept]
-    lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
+    lowest, faster, growth, size, origin = design, None, 1.0, float(np.abs(start).max(initial=0.0)), ITS_GAIN
+    equation, nearer = _state_feedback(few, below, largest_gain)
     search = partial(descended, few, replace(design, law=static_law(start)), largest_gain, below, work=work)
-    for descend in (partial(refine, few, None, start), *(partial(search, most=most) for most in LIMITS)):
+    gains: list[tuple[str, Callable[[], Array]]] = [(EQUATION, lambda K=K: K) for K in equation]
+    gains.append((ITS_GAIN, lambda: refine(few, None, start).gain))
+    gains += [(SEARCHED, lambda most=most: search(most=most).gain) for most in LIMITS]
+    for name, gain_of in gains:
         fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = descend().gain
+            gain = gain_of()
             grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
             certificate = certify_law(few, static_law(gain), below)
-            fast = certificate.beyond_actuators and not design.certificate.beyond_actuators
+            fast = certificate.beyond_actuators and not (name == EQUATION or design.certificate.beyond_actuators)
             price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
             lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
             if lower and not certificate.failures and grown * size <= largest_gain:
                 found = with_redundant_rows(DesignResult(static_law(gain), certificate, case=design.case), kept, q, 0.0)
-                lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
+                if fast:
+                    faster = faster or found
+                else:
+                    lowest, faster, growth, origin = found, faster, grown, name
         gap = lowest.certificate.gap
-        if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
+        near = gap is not None and gap <= FAR and (lowest is not design or name != EQUATION)
+        if near or (name == SEARCHED and not fast):
             break
-    return lowest if lowest is not design else faster, growth
+    return lowest if lowest is not design else faster, growth, origin, nearer
+
+
+def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float) -> tuple[list[Array], str]:
+    """Returns the state feedback of a Riccati equation nearest to the lower bound that is not too fast, and why none is nearer.
+
+    Poles beyond any actuator are accepted if a largest gain is given. None is returned unless all states are measured.
+    """
+    from synth.analysis.bounding import certify_law
+    from synth.design.descent.landscape import Landscape
+    from synth.design.descent.starts import state_feedback_start
+
+    landscape, why = Landscape(plant), ""
+    for share in LEVELS if below is not None else ():
+        for x in state_feedback_start(landscape, below.gamma * (1 + share)):
+            K = landscape.gain(x)
+            entry, beyond = float(np.abs(K).max()), "with poles too fast for actuators; give largest_gain to allow them"
+            if entry > largest_gain:
+                beyond = f"but {largest_gain:g} is the largest allowed"
+            elif largest_gain < LARGEST_GAIN or not certify_law(plant, static_law(K), below).beyond_actuators:
+                return [K], why
+            why = why or f"; {percent(share)} above the bound needs a gain of {rough(entry)}, {beyond}"
+    return [], why
 
 
 def _known_gain(

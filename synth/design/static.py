@@ -32,7 +32,7 @@ from synth.analysis.stability import is_stable
 from synth.design.descent.landscape import Landscape, Work, price
 from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
-from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
+from synth.design.descent.starts import around, projected_starts, stabilising_starts, state_feedback_start, survey
 from synth.design.problem import LARGEST_GAIN, DesignResult
 from synth.design.two_step import independent_rows, no_gain, two_step_design
 from synth.plant.generalized import Plant, check_inputs, on_all_rows
@@ -43,12 +43,14 @@ ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilisi
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
 ALL = 100
-HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03))  # rounds, number of starts, and times a rival's norm where the search ends
+# Rounds of descent, from how many of the best starts, and the share of a rival's norm above which the search ends.
+HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
 CONVERGED = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
 AGAINST = 3  # starts against a rival
 ENTERED = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
+NEAR = 1e-3  # relative; how far above that level a state feedback begins, for the nearer its norm, the larger its gain
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
 SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
 AROUND = 60  # rounds of each of these descents
@@ -222,6 +224,8 @@ class GainSearch:
         """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
+        for x in state_feedback_start(self.landscape, (1 + NEAR) * self.enough):
+            candidates += self.admitted(x, "a Riccati equation of the state feedback")
         candidates += [
             each for x in sampled for each in self.admitted(x, f"a random gain of {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]

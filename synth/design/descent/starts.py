@@ -8,6 +8,8 @@ The state feedback u = G x that is best for z under white noise needs all of x. 
 closest to it on average for K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the loop that G closes. Nothing guarantees
 that K stabilises; this is checked afterwards.
 
+If all states are measured, the Riccati equation of the H-infinity norm has a gain as close to the lower bound as is wanted.
+
 Two descents, tried from one start after another, for neither is sure: finding such a gain is a problem for which no sure and
 quick method is known (Blondel, Gevers, Lindquist 1995).
 
@@ -16,14 +18,17 @@ quick method is known (Blondel, Gevers, Lindquist 1995).
   the poles go left and the shift follows.
 """
 
+import contextlib
 from collections.abc import Iterator
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm, quasi_newton
+from synth.design.full_order.riccati import state_gain
 from synth.plant.generalized import Plant
 from synth.plant.units import size
 
@@ -121,6 +126,21 @@ def projected_starts(landscape: Landscape) -> list[Array]:
         if np.all(np.isfinite(K)):
             starts.append(landscape.point_acting(K))
     return starts
+
+
+REGULAR = (0.0, 1e-6, 1e-3)  # costs of forces, with which the equation may have a solution
+
+
+def state_feedback_start(landscape: Landscape, level: float) -> list[Array]:
+    """Returns the point of a state feedback whose norm is below a level; none unless all states are measured without noise."""
+    plant, (n, _) = landscape.plant, landscape.plant.B.shape
+    if landscape.free is not None or landscape.noisy or plant.Cy.shape != (n, n):
+        return []
+    for share in REGULAR:
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            G = state_gain(plant, level, share)
+            return [landscape.point_acting(np.linalg.solve(plant.Cy.T, G.T).T)]
+    return []
 
 
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from

@@ -88,6 +88,23 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
     return LinearLaw(A_law, B_law @ from_y.T, from_u @ C_law, from_u @ through @ from_y.T)
 
 
+def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
+    """Returns the state feedback G, shape (m, n), of the saddle point at a level: the norm of its loop is below gamma.
+
+    Args:
+        plant: n states, m inputs, r disturbances, d controlled outputs.
+        share: regularisation: every force costs at least this share of the size of D, or of C.
+
+    Raises:
+        InfeasibleError: no state feedback has a norm below gamma, or rounding hides it.
+    """
+    (n, m), r = plant.B.shape, plant.Dw.shape[1]
+    cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
+    C, D1 = np.vstack([plant.C, np.zeros((m, n))]), np.block([[plant.Dw, plant.D], [np.zeros((m, r)), cost]])
+    R = D1.T @ D1 - gamma**2 * np.diag([1.0] * r + [0.0] * m)
+    return _stabilising(plant.A, np.hstack([plant.Bw, plant.B]), C, D1, R)[1][r:]
+
+
 def _last(D: Array) -> tuple[Array, Array]:
     """An orthogonal T and an S with T' D S = [0; I], for a D of full column rank."""
     m = D.shape[1]
