@@ -84,8 +84,8 @@ KEPT = "controller_"  # prefix of a controller's states, and of no signal of a v
 
 
 def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
-    """Returns the signals of adjustable dampers, by the suffix of the names at their suspensions; True for one with a voltage."""
-    corners = {ending.removeprefix("_"): VOLTAGE if volts else DAMPING for ending, volts in endings.items()}
+    """Returns the signals of adjustable dampers, by the suffix of their names; False for a damper with a voltage."""
+    corners = {ending.removeprefix("_"): DAMPING if own else VOLTAGE for ending, own in endings.items()}
     rows = [*((one, corner) for corner, one in corners.items()), *((MISSING_FORCE, corner) for corner in corners)]
     return tuple(signal.at(corner) if corner else signal for signal, corner in rows)
 

@@ -41,18 +41,21 @@ class CoefficientRange:
         return self.bent is not None or bool(self.elements)
 
     def closing(self, speeds: Array, travels: Array, z: Array) -> Array:
-        """Returns the closing velocities, shape (..., N, m), and after them the travel and the states of each element.
+        """Returns the closing velocities, and after them the travel and the states of each element, shape (..., N, m + c).
 
         Args:
             speeds: stretching rates of adjustable dampers [m/s], 0 of actuators that push, shape (..., N, m).
             travels: deflections of all suspensions at the wheels [m], shape (..., N, s).
             z: own states of all parts, shape (..., N, k).
         """
-        closing = self.at_rest - speeds
-        for one in self.elements:
-            travel, _ = one.own_motion(d := travels[..., one.place], np.zeros_like(d))
-            closing = np.concatenate([closing, travel[..., None], z[..., one.states]], axis=-1)
-        return closing
+        return np.concatenate([self.at_rest - speeds, *self.of_elements(travels, z)], axis=-1)
+
+    def of_elements(self, travels: Array, z: Array) -> list[Array]:
+        """Returns travel and states of each element, shapes (..., N, c); arguments as for `closing`."""
+        pairs = [
+            (one.own_motion(travels[..., one.place], 0.0 * travels[..., one.place]), z[..., one.states]) for one in self.elements
+        ]
+        return [part for (travel, _), own in pairs for part in (travel[..., None], own)]
 
     def _effective(self, closing: Array, which: Array | slice) -> Array:
         """Returns `effective_velocity`, but the closing velocities of elements."""
@@ -62,12 +65,22 @@ class CoefficientRange:
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are.
 
-        That of an element is the mean force per volt [N/V].
+        The factor of an element is its mean force per volt [N/V].
         """
-        low, high = self.low[which], self.high[which]
-        rates = [(one, (one.push(high[..., one.column], closing, which, low[..., one.column]))) for one in self.elements]
-        rates = [(one, push / (high - low)[..., one.column]) for one, push in rates]
-        return _with(self._effective(closing, which), rates)
+        rates = list[tuple[SetColumn, Array]]()
+        for one in self.elements:
+            (part, motion), low, high = (
+                one.at(closing, which),
+                self.low[which][..., one.column],
+                self.high[which][..., one.column],
+            )
+            rates.append((one, part.push(*motion, high, low) / (high - low)))
+        return _with(self._velocity(closing, which), rates)
+
+    def _velocity(self, closing: Array, which: Array | slice) -> Array:
+        """Returns `effective_velocity`, but the closing velocities of elements."""
+        closing = closing[..., : self.low.shape[1]]
+        return closing if self.bent is None else closing - self.bent[0][which].force(-closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
@@ -79,25 +92,27 @@ class CoefficientRange:
         speeds = closing[..., : self.low.shape[1]]
         if self.bent is not None:
             least = c_min - self.bent[1][which].force(-speeds) / speeds
-            c_min, c_max = least, least + (c_max - c_min) * self._effective(closing, which) / speeds
-        ends = [
-            (one, -one.pull(end[which][..., one.column], closing, which) / speeds[..., one.column])
-            for end in (self.low, self.high)
-            for one in self.elements
-        ]
-        count = len(self.elements)
-        shape = np.broadcast_shapes(np.shape(c_min), speeds.shape) if count else np.shape(c_min)
-        return tuple(_with(np.broadcast_to(c, shape), some) for c, some in ((c_min, ends[:count]), (c_max, ends[count:])))
+            c_min, c_max = least, least + (c_max - c_min) * self._velocity(closing, which) / speeds
+        if not self.elements:
+            return c_min, c_max
+        c_min, c_max = (np.array(np.broadcast_to(c, speeds.shape)) for c in (c_min, c_max))
+        for one in self.elements:
+            part, (d, v, z) = one.at(closing, which)
+            for limit, u in ((c_min, part.low), (c_max, part.high)):
+                limit[..., one.column] = part.element.pull(d, v, z, u) / v
+        return c_min, c_max
 
     def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the forces at settings beyond the nominal ones [N], shape (..., N, m)."""
-        pushes = [(one, one.push(beyond[..., one.column], closing, which)) for one in self.elements]
-        return _with(beyond * self._effective(closing, which), pushes)
+        parts = [(one, *one.at(closing, which)) for one in self.elements]
+        pushes = [(one, part.push(*motion, beyond[..., one.column])) for one, part, motion in parts]
+        return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings beyond the nominal ones whose forces are nearest to requested ones [N], shape (..., N, m)."""
-        own = [(one, one.setting(forces[..., one.column], closing, which)) for one in self.elements]
-        return _with(self._clip(forces / self._effective(closing, which), which), own)
+        parts = [(one, *one.at(closing, which)) for one in self.elements]
+        own = [(one, part.setting(forces[..., one.column], *motion)) for one, part, motion in parts]
+        return _with(self._clip(forces / self._velocity(closing, which), which), own)
 
     def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
@@ -119,20 +134,19 @@ class CoefficientRange:
             coefficients: coefficients of the dampers [N s/m], shape (..., N, m).
             closing: closing velocity of each suspension [m/s], see `closing`, shape (..., N, m + c).
         """
-        speeds, turned, whole = closing[..., : self.low.shape[1]], self._effective(closing, which), coefficients
-        coefficients = coefficients - self.nominal[which]
+        speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
+        whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
         if self.bent is not None:  # the coefficients at rest of these settings
             low, soft = self.low[which], self.bent[1][which].force(-speeds)
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
-        missing = (coefficients - beyond) * turned
-        if self.elements:
-            own = [(one, one.pull(0.0, closing, which)) for one in self.elements]  # a request is of the whole damper
-            forces = _with(coefficients * turned, [(one, (whole * speeds)[..., one.column] + still) for one, still in own])
-            beyond = _with(beyond, [(one, one.setting(forces[..., one.column], closing, which)) for one in self.elements])
-            given = self.forces(beyond, closing, which)
-            missing = _with(missing, [(one, (forces - given)[..., one.column]) for one in self.elements])
-        return np.concatenate([beyond, missing], axis=-1)
+        found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
+        for one in self.elements:  # a request is the force of the whole damper
+            part, motion = one.at(closing, which)
+            force = whole[..., one.column] + part.element.pull(*motion)
+            found[..., one.column] = beyond = part.setting(force, *motion)
+            found[..., self.low.shape[1] + one.column] = force - part.push(*motion, beyond)
+        return found
 
     def _clip(self, coefficients: Array, which: Array | slice) -> Array:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
@@ -144,13 +158,13 @@ class CoefficientRange:
             forces: requested forces [N], shape (N, m).
             closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
         """
-        turned = 1.0 if closing is None else self._effective(closing, which)
+        turned = 1.0 if closing is None else self._velocity(closing, which)
         coefficients = forces / turned
         lost = (self._clip(coefficients, which) - coefficients) * turned
-        if not self.elements or closing is None:
-            return lost
-        given = self.forces(self.settings(forces, closing, which), closing, which) - forces
-        return _with(lost, [(one, given[..., one.column]) for one in self.elements])
+        if self.elements and closing is not None:
+            given = self.forces(self.settings(forces, closing, which), closing, which) - forces
+            lost = _with(lost, [(one, given[..., one.column]) for one in self.elements])
+        return lost
 
     @property
     def at_rest(self) -> Array:
@@ -204,22 +218,10 @@ class SetColumn:
         d, v = self.own_motion(*map(signal, self.names))
         return d, v, np.stack([signal(name) for name in self.own], axis=-1)
 
-    def _at(self, closing: Array) -> tuple[Array, Array, Array]:
-        """Returns the same from `CoefficientRange.closing`."""
+    def at(self, closing: Array, which: Array | slice) -> tuple[Any, tuple[Array, Array, Array]]:
+        """Returns some of the elements, and their travels, velocities and states from `CoefficientRange.closing`."""
         own = closing[..., self.start + 1 : self.start + 1 + len(self.own)]
-        return closing[..., self.start], -closing[..., self.column], own
-
-    def pull(self, u: Array | float, closing: Array, which: Array | slice) -> Array:
-        """Returns the pull of some of the elements at voltages beyond those without a command [N], shape (..., N)."""
-        return chosen(self.element, which).element.pull(*self._at(closing), u)
-
-    def push(self, u: Array, closing: Array, which: Array | slice, before: Array | float = 0.0) -> Array:
-        """Returns the force beyond that at voltages `before` [N], shape (..., N)."""
-        return chosen(self.element, which).push(*self._at(closing), u, before)
-
-    def setting(self, forces: Array, closing: Array, which: Array | slice) -> Array:
-        """Returns the voltages beyond those without a command for requested forces [N], shape (..., N)."""
-        return chosen(self.element, which).setting(forces, *self._at(closing))
+        return chosen(self.element, which), (closing[..., self.start], -closing[..., self.column], own)
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:

@@ -6,8 +6,8 @@ element takes the voltage from 0 to its largest whose force
 
     -(F(d, v, z, u) - F(d, v, z, 0))
 
-is nearest to u*, at the motion and the states then, and has this voltage until the next sample. Of several such voltages it
-takes the one that is nearest to that without a command.
+is nearest to u*, at the motion and the states then, and has this voltage until the next sample. If several voltages have such
+a force, the element takes the nearest to the voltage without a command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,6 @@ from models.characteristics.adjustable_range import CURVED, Damper, check_unlimi
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
-from models.parts.element import Element
 from models.parts.native import Tendon
 from models.parts.part import Limit, Line, Number, Part, SettablePart, Straight
 
@@ -44,13 +43,13 @@ class ElementDamper(Damper):
     element: Any = None
 
     @classmethod
-    def of(cls, one: Element) -> "ElementDamper":
+    def of(cls, one: Any) -> "ElementDamper":
         """Returns the adjustable damper that an element is."""
         part: Any = one.part
         low, high = (float(part.after_yield(np.array(SPEED), u)) / SPEED for u in part.settable)
         return cls(low, high, part.bandwidth, None, one.name, part)
 
-    def among(self, elements: Sequence[Element]) -> "ElementDamper":
+    def among(self, elements: Sequence[Any]) -> "ElementDamper":
         return ElementDamper.of(next(one for one in elements if one.name == self.name))
 
     @property
@@ -187,7 +186,7 @@ def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElem
 
 
 def element_dampers(
-    elements: Sequence[Element], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
+    elements: Sequence[Any], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
 ) -> dict[str, ElementDamper]:
     """Returns the elements whose voltage is set as adjustable dampers, by the force that each replaces.
 

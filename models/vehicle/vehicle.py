@@ -641,17 +641,16 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         section = read("[implementation]", ImplementationSection, given.implementation, signals=units)
         implementation, sampled = section.implementation, section.sampled
     dampers = dict[str, "Damper"]()
-    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
-    if given.actuators:
+    if given.actuators or elements:
         from models.characteristics.adjustable_range import read_actuators
 
-        dampers = read_actuators(given.actuators, corners, () if forced else limits.of_actuators)
-    of_elements = dict[str, "Damper"]()
-    if any(one.part.settable is not None for one in elements):
-        from models.parts.settable import element_dampers
+        forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
+        limited = () if forced else limits.of_actuators
+        dampers = read_actuators(given.actuators, corners, limited)
+        if any(one.part.settable is not None for one in elements):
+            from models.parts.settable import element_dampers
 
-        of_elements = element_dampers(elements, vehicle_kind.suspensions, given.actuators, () if forced else limits.of_actuators)
-        dampers |= of_elements
+            dampers |= element_dampers(elements, vehicle_kind.suspensions, given.actuators, limited)
     endings = {force: ending for force, ending in corners.items() if force in dampers}
     controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)
@@ -665,10 +664,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
             named.add(part.velocity.name)
     vehicle_kind = vehicle_kind.naming(named)
     if dampers:
-        vehicle_kind = replace(
-            vehicle_kind,
-            signals=(*vehicle_kind.signals, *of_dampers({one: force in of_elements for force, one in endings.items()})),
-        )
+        own = of_dampers({ending: dampers[force].replaces for force, ending in endings.items()})
+        vehicle_kind = replace(vehicle_kind, signals=(*vehicle_kind.signals, *own))
     vehicle = Vehicle(
         kind=vehicle_kind,
         parameters=parameters,

@@ -72,19 +72,19 @@ class Actuators:
         if ramps:
             self._ramps = np.repeat([inputs.index(force) for force in ramps], [len(own) for own in ramps.values()])
 
-    def turn(self, closing: Array, deflections: Array, own: Array) -> None:
-        """Multiplies the closing velocities of dampers, which are at the ratios at rest, by r(d) / r(0), in place.
-
-        Writes travels and states of elements, too.
+    def turn(self, closing: Array, deflections: Array) -> None:
+        """Multiplies the closing velocities of dampers, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
 
         Args:
-            closing: see `CoefficientRange.closing`, shape (N, m + c).
             deflections: of all suspensions [m], shape (N, s).
-            own: own states of all parts, shape (N, k).
         """
         if self._of is not None:
-            closing[:, : self.forces] *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
-            closing[:, self.forces :] = self._of.closing(closing[:, : self.forces], deflections, own)[:, self.forces :]
+            closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
+
+    def of_elements(self, deflections: Array, own: Array) -> Array:
+        """Returns travels and states of the elements that are set, shape (N, c), from the own states of all parts, (N, k)."""
+        assert self._of is not None, "a vehicle with adjustable dampers"
+        return np.concatenate([np.zeros((len(own), 0)), *self._of.of_elements(deflections, own)], axis=-1)
 
     def commands(self, requested: Array, closing: Array, which: Array | slice, requests: str) -> Array:
         """Returns the commands of some of the runs, shape (d, size).

@@ -45,8 +45,8 @@ from models.common.printed import difference
 from models.document.document import Document
 from models.document.field import Field
 from models.document.text import Shown, facts
+from models.kinds.signals import names_of
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
-from models.parts.damper_range import range_of
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
@@ -58,6 +58,7 @@ from sim.response.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION
 from sim.response.response import Response
 
 if TYPE_CHECKING:
+    from models.parts.damper_range import SetColumn
     from models.parts.part import SettablePart, SuspensionPart
     from models.parts.settable import SetElement
 
@@ -168,23 +169,22 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
         length = path.length(number)
         lost += length.integral(damping[number] * v**2 for _, v in length.stages)
     start, end, rest = (one[..., :2].sum(axis=-1) for one in (path.starts, path.ends, path.rest))
-    inputs, set_elements = vehicle.linear_model.inputs, _set_elements(vehicle)
+    elements = {one.own: one for one in _elements(vehicle)}
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
         start += _stored(one, length.d, z) + _kinetic(one, length.d, length.v)
         # States do not jump with the road.
         end += _stored(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
-        if (damper := set_elements.get(id(one))) is None:
+        if z is None or (column := elements.get(names_of(one.states))) is None:
             lost += _lost(one, length, z)
             continue
-        assert z is not None, "a hysteresis has a state"
-        by_coil, jumps, beyond = _by_coil(damper, response, z)
-        work[:, inputs.index(damper.force)] = by_coil + jumps
+        by_coil, jumps, beyond = _by_coil(column.element, response, z)
+        work[:, column.column] = by_coil + jumps
         start += beyond
         end += beyond[1:] - jumps
         by_road -= jumps
-        lost += _lost(one, length, z, _settings(damper, response, length.h)) + by_coil - (beyond[1:] - jumps - beyond[:-1])
+        lost += _lost(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
@@ -199,6 +199,15 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     return Energy(of_road, of_inputs, float(stored[-1]), taken, turnover, residual, least, loads, allowed)
 
 
+def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
+    """Returns the elements whose voltages are set."""
+    if not vehicle.dampers:
+        return ()
+    from models.parts.damper_range import range_of
+
+    return range_of([vehicle]).elements
+
+
 def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
     """Returns the energy that a part stores at deflections and states [J], shape (...), without that of the vehicle's own
     spring.
@@ -209,16 +218,6 @@ def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
 def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | float:
     """Returns the kinetic energy of a part [J], shape (...)."""
     return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
-
-
-def _set_elements(vehicle: Vehicle) -> "dict[int, SetElement]":
-    """Returns the elements whose voltage is set, each by the identity of its part."""
-    if not (vehicle.dampers and vehicle.elements):
-        return {}
-    from models.parts.settable import SetElement
-
-    own = ((one, getattr(one.part, "part", one.part)) for one in vehicle.parts)
-    return {id(one): part for one, part in own if isinstance(part, SetElement)}
 
 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
@@ -298,7 +297,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
-    elements = {inputs[one.column]: one for one in range_of([vehicle]).elements} if dampers else {}
+    elements = {inputs[one.column]: one for one in _elements(vehicle)}
     acting, work, ratios = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
     for j, name in enumerate(inputs):
         length, ratio = path.stroke(vehicle, name), partial(ratios.of, name)

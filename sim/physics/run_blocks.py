@@ -329,7 +329,10 @@ class _Loop:
                     np.matvec(of_reading, reading, out=signals)
                     signals += unread[i]
                     if over_travel is not None:
-                        actuators.turn(signals[:, -len(actuators.at_rest) :], over_travel.deflections(), own)
+                        moved_by, forces = over_travel.deflections(), actuators.forces
+                        closing = signals[:, -len(actuators.at_rest) :]
+                        actuators.turn(closing[:, :forces], moved_by)
+                        closing[:, forces:] = actuators.of_elements(moved_by, own)
                 for computer in computers:
                     computer.step(k, signals, commands)
                 acting = commands

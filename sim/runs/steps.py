@@ -20,7 +20,6 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.document.field import Field
 from models.kinds.signals import names_of
-from models.parts.damper_range import range_of
 from models.parts.part import STEP
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
@@ -283,10 +282,12 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         coefficient, i = shown[one.force], places[one.force]
         shown[one.force] = -coefficient * one.shape(ratios.of(one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient
-    of = range_of([vehicle]) if vehicle.dampers else None
-    for one in of.elements if of is not None else ():
-        own, force = one.own_motion(travels[:, one.place], speeds[:, one.place]), vehicle.linear_model.inputs[one.column]
-        shown[force] = one.element.push(*own, starts.own[:, one.states], given[:, one.column])
+    if vehicle.dampers:
+        from models.parts.damper_range import range_of
+
+        for one in range_of([vehicle]).elements:
+            own, force = one.own_motion(travels[:, one.place], speeds[:, one.place]), vehicle.linear_model.inputs[one.column]
+            shown[force] = one.element.push(*own, starts.own[:, one.states], given[:, one.column])
     for name, parts in kind.combined.items():
         shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))
     return {name: values for name, values in shown.items() if name in names and name not in motion.names}

@@ -598,9 +598,9 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
         assert rates[place.damping] + damping == pytest.approx(float(slope(partial(law, at))[0]), rel=1e-7)
 
 
-def followed(part: Part, d, v, h: float, u: float = 0.0):
-    """The states of a part from rest along a path, shape (T, n), by steps of RK4 over two samples, and Hermite's cubics."""
-    z = np.zeros((len(d), len(part.states)))
+def followed(part: Part, d, v, h: float, u: np.ndarray | float = 0.0):
+    """The states of a part from rest along a path, shape (T, ..., n), by steps of RK4 over two samples, and Hermite's cubics."""
+    z = np.zeros((len(d), *np.shape(u), len(part.states)))
     for k in range(0, len(d) - 2, 2 if part.states else len(d)):
         at = [partial(part.rate, d[k + i], v[k + i], u=u) for i in range(3)]
         first = at[0](z[k])
@@ -623,8 +623,8 @@ def test_energy_is_stored_or_lost(kind, names, ratio):
         if part.inputs and not vehicle.dampers:
             continue  # an actuator gives and takes
         own: Any = bare(part)
-        for u in (0.0, *((own.settable or (own.low, own.high)) if part.inputs else ())):
-            z = followed(part, d, v, t[1] / 5.0, u)
+        settings = np.array([0.0, *((own.settable or (own.low, own.high)) if part.inputs else ())])
+        for u, z in zip(settings, np.moveaxis(followed(part, d, v, t[1] / 5.0, settings), 1, 0), strict=True):
             force = part.pull(d, v, z, np.full_like(d, u)) - part.centrifugal(d, v)  # whose work is kinetic energy
             supplied = cumulative_simpson(force * v, x=t / 5.0, initial=0.0)
             stored = own.stored(part.own_motion(d, v)[0], z, u) if own.settable else part.stored(d, z)

@@ -141,7 +141,8 @@ def run(one: Section, folder: Path) -> None:
         shutil.copy(path, folder / "models")
     shutil.copytree(ROOT / "models" / "gallery", folder / "models" / "gallery")
     for campaign in one.blocks("toml"):
-        (folder / "campaign.toml").write_text(thinner(campaign), encoding="utf-8", newline="\n")
+        named = re.match(r"# (\w+\.toml)\n", campaign)
+        (folder / (named[1] if named else "campaign.toml")).write_text(thinner(campaign), encoding="utf-8", newline="\n")
     for line in one.commands:
         line = thinner(line.replace(" /tmp/", " tmp/"))
         if not line.startswith("python -m "):
