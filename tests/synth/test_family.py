@@ -1,4 +1,4 @@
-"""One gain for a family of plants: what it reaches for the worst of them, next to the two steps with a slack variable of 0.9."""
+"""One gain for a family of plants: what it reaches for the worst of them, next to the two steps with a slack variable."""
 
 import dataclasses
 import itertools
