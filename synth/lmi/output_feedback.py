@@ -64,20 +64,19 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     return np.linalg.pinv(rows) / lengths + Q @ L
 
 
-def output_feedback(plant: Plant, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
+def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
     """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
         plant: plant whose C_y, shape (q, n), has full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
         Q: basis of the nullspace of C_y, shape (n, n - q).
-        mu: path parameter, see `central_path`.
 
     Raises:
         NoSolutionError: (25) has no solution with eta > 0 for this L.
     """
     try:
-        return central_path(plant, Q, r_matrix(plant.Cy, Q, L), mu)
+        return central_path(plant, Q, r_matrix(plant.Cy, Q, L))
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
         raise NoSolutionError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error
