@@ -414,8 +414,7 @@ class _Asked:
         for each in family:
             check_inputs(each)
         own = self.plant
-        measured = (each if len(each.Cy) else each.measured(own.Cy, own.Dyw) for each in family)
-        plants = [self.loud(each) for each in (own, *measured)]
+        plants = [self.loud(own), *(self.loud(each if len(each.Cy) else each.measured(own.Cy, own.Dyw)) for each in family)]
         goals, problem = goals_of_plants(WHERE, section, plants)
         for each in plants:
             check_stabilisable(each, self.states)
