@@ -163,7 +163,7 @@ def test_a_proof_is_of_its_box_and_its_bound(car: Car):
     gain = scaled_gain(car[0].measured(car[1]), PRINTED_I)
     box = box_of(gain, 0.2, 0.0)
     proof = worst_norm(*car, PRINTED_I, 0.2).proof
-    assert proof is not None
+    assert isinstance(proof, BoxProof)
     assert len(proof.parts) == 2
     assert proof.holds(gain, box)
     assert not replace(proof, eta=eta_of(29.3)).holds(gain, box)  # below the norm at a corner
