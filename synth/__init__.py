@@ -5,8 +5,8 @@ Public names, imported when they are first used; all units are SI:
 - of a vehicle: `design_controllers`, `Designer`, `Controller`
 - any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
 - any plant, every type of design: `design_feedback`, which returns a `FeedbackDesign`
-- static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `design_feedback`; for goals
-  `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`, `MeasuredPlant`, `GainErrors`
+- static gains: `two_step_design`, `static_output_feedback`, `refine`; for goals `multi_objective_design` of a
+  `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`, `MeasuredPlant`, `GainErrors`; `slack_design` goes
 - controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`
 - analysis of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, as of `SampledLoop.of_gain`; its period has a `HoldInterval` or two

@@ -52,6 +52,7 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     fields: list[Field[tuple[str, FragilityReport]]] = [
         Field("errors [%]", lambda of: of[0]),
         Field("unstable", lambda of: _between(of[1].found.stable)),
+        Field("proof", lambda of: of[1].found.stable.proof),
         *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
         *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
     ]

@@ -2,9 +2,9 @@
 
 For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). A step reaches the level for
 whose plant its optimum is a norm of 1, found by secants over the logarithms in a few problems. State feedback (22) has one such
-level, and the X of its optimum makes L (14). The second step, with its slack variable (`lmi/slack_variable.py`), has another.
-Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on no solver and no unit. Its norm is
-then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
+level, and the X of its optimum makes L (14). The second step (25) has another. Every optimum is the limit of a central path, and
+so is the gain: it is unique, and depends on no solver and no unit. Its norm is then computed exactly, without any of this
+(`synth/analysis/sampled_norm.py`).
 
 Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
 without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
@@ -41,7 +41,6 @@ from synth.design.static import GainSearch, bounded_work
 from synth.design.two_step import NO_GAIN, NOT_FROM_THESE, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.lmi.slack_variable import ENTERED, slack_path
 from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError, numerics
 from synth.plant.units import own_units
@@ -395,19 +394,12 @@ class _Tries:
         self.failures = list[DesignError]()
 
     def add(self, R: Array) -> None:
-        """Without a slack variable, and on from its level with one, whose path rounding may end, as at a very fast sample.
-
-        Where the first has no solution the second has no start.
-        """
-        level = self.level
-        for slack in (False, True):
-            try:
-                level, (point,) = _level(self.problem, lambda plant, on=slack: [_second(plant, R, on)], level)
-                self.found.append((level, point))
-            except DesignError as error:
-                self.failures.append(error)
-                if isinstance(error, NoSolutionError):
-                    return
+        """Adds the level that the second step reaches with an R, or the failure."""
+        try:
+            level, (point,) = _level(self.problem, lambda plant: [_second(plant, R)], self.level)
+            self.found.append((level, point))
+        except DesignError as error:
+            self.failures.append(error)
 
 
 def _follows(X: Array, rows: Array) -> Array:
@@ -415,15 +407,14 @@ def _follows(X: Array, rows: Array) -> Array:
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
-def _second(plant: Plant, R: Array, slack: bool) -> CentralPoint:
-    """The second step with an R, of which C_y R = I: (25), or on from the first of its path with a slack variable."""
+def _second(plant: Plant, R: Array) -> CentralPoint:
+    """The second step (25) with an R, of which C_y R = I."""
     units = own_units(plant, measured=True)
     basis, measured = units.rows(plant.Cy)
     own = units.into(plant).measured(basis)
     Q = nullspace(basis)
     L = np.linalg.pinv(Q) @ (R @ measured / units.states[:, None])
-    path = slack_path(own, output_feedback(own, L, Q, ENTERED)[-1]) if slack else output_feedback(own, L, Q)
-    return path[-1].in_units(units.states, units.inputs, measured)
+    return output_feedback(own, L, Q)[-1].in_units(units.states, units.inputs, measured)
 
 
 def _level(

@@ -83,14 +83,13 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
     return np.linalg.pinv(rows) / lengths + Q @ L  # (9)
 
 
-def output_feedback(plant: Plant, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
+def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
     """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
         plant: plant whose C_y, shape (q, n), has full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
         Q: basis of the nullspace of C_y, shape (n, n - q).
-        mu: path parameter, see `central_path`.
 
     Raises:
         NoSolutionError: (25) has no solution with eta > 0 for this L.
@@ -100,7 +99,7 @@ def output_feedback(plant: Plant, L: Array, Q: Array, mu: float = LIMIT) -> list
         # The problem (7) for all X and Y with Y X^-1 = K C_y (8) is not convex. With X = Q X_Q Q' + R X_R R', Y = Y_R R' (12) in
         # eta and F (11) it becomes (10): max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R > 0.  (25)
         # Then K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
-        return central_path(plant, Q, R, mu)
+        return central_path(plant, Q, R)
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
         raise NoSolutionError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error

@@ -308,6 +308,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
     Args:
         p: feasible point, the last unknown above `enough`.
         rows: number of rows of all blocks of the barrier.
+        enough: value of the last unknown below which the path ends.
         close: distance from the least value at which the path ends if that is not below `enough`.
 
     Returns:

@@ -84,7 +84,7 @@ uncertainty: fragility, mu, boxes                              2373    883     6
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
 sampled data: norm, bound, designs, rates                      2247   1295    110
-    synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/{sampled_bound,slack_variable}.py
+    synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
 export: C99, fixed point, FMI, MATLAB                          3272   1454     96

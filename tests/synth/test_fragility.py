@@ -163,7 +163,9 @@ def test_more_errors_than_corners_are_looked_at():
         assert 0.9 * min(one.smallest_violation, 1.0) <= one.proved_margin <= one.smallest_violation
         assert one.proof == "multipliers, computed twice"
     text = proved_text(found)
-    assert text.startswith(f"stability is proved for each error up to {100 * found.stable.proved_margin:.4g} % ({one.proof})")
+    assert text.startswith(
+        f"stability is proved for each error up to {100 * found.stable.proved_margin:.4g} % (multipliers, computed twice)"
+    )
     assert f"and errors of {100 * found.within[0.01].smallest_violation:.4g} %" in text
 
 

@@ -14,7 +14,7 @@ from models.parts.lines import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
-from sim.studies.stability.figure import ERROR, SIZE, margins_figure
+from sim.studies.stability.figure import SIZE, margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
@@ -169,16 +169,12 @@ def describe(found: StabilityMargins) -> Document:
 def _errors_document(found: StabilityMargins) -> Document:
     """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
     controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
-    stable, proof = fragile.predicted.stable.proved_margin, fragile.predicted.stable.proof
-    first = (
-        f"is proved for errors of up to {ERROR.text(stable)} of each signal ({proof})" if stable else "with errors is not proved"
-    )
     short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
     details = [f"the smallest errors that make the loop unstable are {worst}"] * (len(worst) > WIDTH - HANG)
     details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
     others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
     promises = notes(*(promise.text for promise in controller.robustness))
-    return Document("", (*notes(f"Stability {first}."), *notes(*others, detail="full"), *promises))
+    return Document("", (*notes(f"{short[0].upper()}{short[1:]}."), *notes(*others, detail="full"), *promises))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:

@@ -216,7 +216,8 @@ LOOSE = (0.1, 1.0, 10.0)  # where the first of these fails, and multipliers, too
 TIGHT = 1e-3  # a bound so close needs no multipliers
 TRIALS = 600  # over the square of the number of states: how often an X is looked for at most
 FEWEST = 4  # of them at least
-PATIENT = 4  # times the trials, for a bound that is asked about
+MANY = 6  # errors; with more an X costs more than multipliers
+PATIENT, CHEAPLY = 4.0, 1 / 3  # times the trials: for a bound that is asked about, and for one of many
 SPARE = 1e-2  # of how far a bound is above a norm: what of it the first X leaves unused
 FAR = 1e4  # times a norm: a bound of loops that need only be stable
 EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the first X that w does not reach
@@ -255,20 +256,17 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
     return best if np.isfinite(heights.highest) else None
 
 
-def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, trials: int = 0) -> Proof | None:
-    """Returns the proof of a given bound: by an X for the whole box, by multipliers, or by an X for each part of the box.
+def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience: float = CHEAPLY) -> Proof | None:
+    """Returns the proof of a given bound, by an X for each part of the box or by multipliers; stores larger norms on the way.
 
     Args:
-        trials: largest number of attempts to find an X for a part; larger norms found on the way are stored.
+        patience: number of attempts to find an X, relative to the usual number; one for many errors.
     """
-    parts: Parts | None = [(box, None)]
-    for left in (1, trials):
-        filled, _ = _filled(heights, parts, lambda: bound, left)
-        if filled is not None:
-            return _proof(filled, bound)
-        if left == 1 and heights.highest < bound and (proof := bound_in_band(heights.gain, box, 0.0, np.inf, bound, tries=1)):
-            return proof
-    return None
+    trials = int(patience * _trials(heights)) if len(box.uncertain) <= MANY else 1
+    parts, _ = _filled(heights, [(box, None)], lambda: bound, trials)
+    if parts is not None:
+        return _proof(parts, bound)
+    return bound_in_band(heights.gain, box, 0.0, np.inf, bound, tries=1) if heights.highest < bound else None
 
 
 def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> Proof | None:
@@ -419,6 +417,6 @@ def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
     local_maximum(heights, box)
     proof = search_bound(heights, box)
     if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
-        proof = prove_bound(heights, box, enough, PATIENT * _trials(heights)) or proof
+        proof = prove_bound(heights, box, enough, PATIENT) or proof
     largest = norm_at(gain, heights.at)
     return WorstNorm(largest, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)
