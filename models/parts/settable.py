@@ -12,7 +12,6 @@ a force, the element takes the nearest to the voltage without a command.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
-from models.parts.part import Limit, Line, Number, Part, SettablePart, Straight
+from models.parts.part import Limit, Number, Part, SettablePart, Straight
 
 SAME = 1e-12  # of the forces: a smaller difference is rounding
 SPEED = 1.0  # m/s, at which a coefficient stands for an element
@@ -63,6 +62,11 @@ class ElementDamper(Damper):
         return dampers[0]
 
 
+def _of(part: str, name: str) -> Any:
+    """Returns a property that is another part's."""
+    return property(lambda self: getattr(getattr(self, part), name))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetElement(SettablePart):
     """Element with its voltage as the input, in its own travel.
@@ -75,15 +79,9 @@ class SetElement(SettablePart):
     element: Any
     without: Part
 
-    @property
-    def states(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.states`."""
-        return self.element.states
-
-    @property
-    def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.fastest`."""
-        return self.element.fastest
+    states, fastest = _of("element", "states"), _of("element", "fastest")
+    line, bent, range = _of("without", "line"), _of("without", "bent"), _of("without", "range")
+    kinked_at_rest = _of("without", "kinked_at_rest")
 
     @property
     def coefficient(self) -> str:
@@ -145,23 +143,6 @@ class SetElement(SettablePart):
             near = away <= away.min(axis=0) + SAME * (np.abs(pulls).max(axis=0) + np.abs(wanted))
         best = np.where(near, np.abs(settings), np.inf).argmin(axis=0)
         return np.take_along_axis(settings, best[None], axis=0)[0]
-
-    @cached_property
-    def line(self) -> Line:
-        """See `Part.line`: without a command."""
-        return self.without.line
-
-    @property
-    def bent(self) -> bool:
-        return self.without.bent
-
-    @property
-    def kinked_at_rest(self) -> bool:
-        return self.without.kinked_at_rest
-
-    @property
-    def range(self) -> float:
-        return self.without.range
 
     def limits(self) -> Sequence[Limit]:
         return self.without.limits()

@@ -21,8 +21,9 @@ An actuator should push along the deflection of its suspension, and its work is 
 on one end only, or through a gear, therefore leaves a residual, too. The work of an actuator without a suspension (it pushes
 against the world) is counted along MuJoCo's actuator itself. There such a fault only shows in the comparison with the linear
 model. The force of an adjustable damper beyond the nominal one is -d l', with d held over a step, or behind its command by a lag.
-Its work is taken by Simpson's rule, too. A separate check of force and speed at every sample confirms that it takes energy,
-whatever the commanded coefficient.
+Its work is taken by Simpson's rule, too. An element of `[parts]` whose voltage is set stores energy at its present voltage, so
+a change of the voltage does work. This work of its coil counts as that of its actuator. A separate check of force and speed at
+every sample confirms that a damper loses energy, whatever the commanded coefficient or voltage.
 
 The residual is relative to the turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic
 energy. Lifting the weight is excluded: it would hide small residuals.

@@ -229,7 +229,8 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
         texts.append(f"The loop {lag}.")
         texts += [] if how.undelayed else ["Delay and sample period are totals, which include those of the vehicle file."]
         texts += [f"The loop does not include {how.noise_text}."] if how.has_measurement_noise else []
-        texts += ["Margins require that the dampers of [actuators] give the commanded force."] if vehicle.dampers else []
+        which = "dampers of [actuators]" if all(one.replaces for one in vehicle.dampers.values()) else "semi-active dampers"
+        texts += [f"Margins require that the {which} give the commanded force."] if vehicle.dampers else []
         texts.append("Norms are those of the ideal loop.")
     if slopes := lines_at_rest(vehicle.parts.with_curve):
         texts.append(f"[curves] are replaced by their linearisation at equilibrium: {slopes}.")
