@@ -84,7 +84,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     check_stabilisable(plant, problem.states)
     if steps is None:
         reason = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
-    elif not (reason := insufficient(problem, steps)):
+    elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
         return steps
     _, _, kept = independently_measured(plant)
     few = plant.rows(kept)

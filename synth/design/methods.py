@@ -49,7 +49,7 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
     static = "two_steps", "descent"
     if problem.order == FULL:
         free = problem.thorough and not problem.stable and problem.fastest_pole is None
-        return ("riccati", *(("h2", *static) if free else ())), ()
+        return ("riccati", *(("h2", *static) if free else ())), ("descent",)
     return static, ("descent", "refinement") if problem.thorough else ("descent",)
 
 
@@ -77,18 +77,14 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
             problem = replace(problem, failure=error)
     if problem.start is None:
         raise failures[0] if problem.order == FULL else failures[-1]
-    if failures and problem.order == FULL:
-        return _instead_of_riccati(problem, failures[0])
     for name in further:
         problem = problem.starting(method_of(name)(problem, progress))
     assert problem.start is not None, "a method returns a result"
-    return problem.start
+    return _instead_of_riccati(problem, problem.start, failures[0]) if failures and problem.order == FULL else problem.start
 
 
-def _instead_of_riccati(problem: DesignProblem, failure: Exception) -> DesignResult:
+def _instead_of_riccati(problem: DesignProblem, result: DesignResult, failure: Exception) -> DesignResult:
     """Returns the result of another method than that of the least norm, with the reason for it."""
-    result = problem.start
-    assert result is not None, "a method found one"
     certificate = replace(result.certificate, below=problem.lower_bound)
     why = f"Riccati equations for the least norm failed: {failure}"
     method = "H2, of full order" if result.criterion == H2_NORM else result.method
