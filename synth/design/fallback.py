@@ -81,11 +81,11 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
             rounding leaves no proof, as for the large gains of 60 states.
     """
     plant, steps, failure = problem.plant, problem.start, problem.failure
-    check_stabilisable(plant, problem.states)
     if steps is None:
         reason = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
     elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
         return steps
+    check_stabilisable(plant, problem.states)
     _, _, kept = independently_measured(plant)
     few = plant.rows(kept)
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason

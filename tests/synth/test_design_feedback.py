@@ -354,6 +354,17 @@ def test_it_finds_what_any_method_finds(seed):
         assert [asked(lambda method=method: method(plant.measured(Cy))) for method in methods] == [None] * len(methods)
 
 
+def test_a_law_where_no_gain_stabilises():
+    """The position of a double integrator: no static gain stabilises it, and a law of full order does."""
+    B, C = [[0], [1]], [[1, 0], [0, 0]]
+    plant = of_lists([[0, 1], [0, 0]], B, B, C, [[0], [0.1]])
+    with pytest.raises(InfeasibleError, match="no static gain on these measurements"):
+        design_feedback(plant, [[1, 0]])
+    found = design_feedback(plant, [[1, 0]], [[0.1]], order="full")
+    assert found.method == "Riccati equations for the least norm"
+    assert found.certificate.failures == ()
+
+
 @pytest.mark.attack
 def test_units_beyond_floats_hide_no_gain():
     """Where a plant's own units lead beyond floats, and the first checks and the two steps end there, descent finds a gain."""
