@@ -7,8 +7,7 @@ import pytest
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from synth.design.descent.terms import Decay
-from synth.design.multi_objective.objectives import EnergyPeak
+from synth.design.multi_objective.objectives import Decay, EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.problem import objectives_of
 from synth.vehicle.designer import Designer

@@ -150,7 +150,6 @@ class Landscape:
         each = self.balancing[:, None]
         inputs = {"B": image.B / each, "Bw": image.Bw / each}
         plant = image.unchecked(A=A, C=image.C * self.balancing, Cy=image.Cy * self.balancing, **inputs)
-        self.own = len(plant.A) - plant.weights  # states without those of filters
         self.plant, self.through, self.noisy = plant, bool(np.any(plant.Dyu)), bool(np.any(plant.Dyw))
         self.shape = plant.Dyu.T.shape
         columns, rows = np.linalg.norm(plant.B, axis=0), np.linalg.norm(plant.Cy, axis=1)
@@ -240,37 +239,6 @@ class Landscape:
         left, right = left[:, i].conj(), right[:, i]
         slope = np.real(np.outer(left @ loop.B, loop.Cy @ right) / (left @ right))
         return float(np.real(poles[i])), self.of_entries(slope * self.scale)
-
-    def slowest(self, x: Array) -> float:
-        """Returns the largest real part of a pole that a gain moves [rad/s]; infinite if the loop is not finite."""
-        self.work.done += POLES * self.price
-        if self.own == len(self.plant.A):
-            poles = self.modes(x).poles
-        else:
-            A = self.loop(x).A[: self.own, : self.own]
-            poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.array([np.nan])
-        largest = float(np.real(poles).max())
-        return largest if np.isfinite(largest) else np.inf
-
-    def decays(self, x: Array) -> tuple[Array, Array]:
-        """Returns the real parts of the poles that a gain moves [rad/s], one per pair, shape (P,), and slopes, shape (P, m q).
-
-        Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
-        """
-        loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
-        if known is not None and known.vectors is not None:
-            poles, (right, left) = known.poles, known.vectors
-            mask = np.imag(poles) >= 0
-            left, right = left[mask], right[:, mask].T
-        else:
-            poles, left, right = (np.asarray(part) for part in linalg.eig(loop.A[own, own], left=True, right=True))
-            mask = np.imag(poles) >= 0
-            left, right = left[:, mask].conj().T, right[:, mask].T
-        along = np.sum(left * right, axis=1)
-        along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
-        driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
-        slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
-        return np.real(poles[mask]), self.of_entries(slopes)
 
     def modes(self, x: Array) -> Modes:
         """The loop of a point and its modes; the last one is remembered."""

@@ -8,6 +8,8 @@
   multipliers of the bounds, the minimum of the sum is the minimum of the goal within the bounds. A sum of two maxima is the
   maximum over pairs, so the model has the same form.
 - `descend_norm` is this descent on one norm. It works in stages, each with its own coordinates and curvature.
+- `quasi_newton` is BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It
+  is quick from far away, and stalls on an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -27,6 +29,8 @@ from synth.design.descent.landscape import Landscape
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
+STALLED = 1e-4  # decrease over seven rounds that counts as none, of a function whose values are of order one
+
 STAGE = 30  # rounds
 WORTH_A_STAGE = 3e-5  # relative decrease of the norm
 ENDED = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
@@ -35,6 +39,54 @@ NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
 
 KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
 POINTS = 3  # whose values are cached: the last one, and those of trial steps
+
+Function = Callable[[Array, float], tuple[float, Array | None]]
+
+
+def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.inf) -> tuple[Array, float]:
+    """BFGS from x, until the function is below the target or no longer falls.
+
+    Args:
+        function: (x, above) -> value and slope. Where the value exceeds `above` it may be any such number, and the slope None.
+        x: starting point, with a finite value.
+        rounds: largest number of rounds.
+    """
+    value, slope = function(x, np.inf)
+    assert slope is not None
+    inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
+    recent = [value]
+    for turn in range(rounds):
+        if value < target or (len(recent) > 8 and recent[-8] - value < STALLED):
+            break
+        direction = -inverse @ slope
+        fall = float(slope @ direction)
+        if not fall < 0:
+            break
+        low, high, length, accepted = 0.0, np.inf, 1.0, None
+        for _ in range(15):
+            allowed = value + 1e-4 * length * fall
+            there, its_slope = function(x + length * direction, allowed)
+            if its_slope is None or not there <= allowed:
+                high = length
+            else:
+                accepted = (length, there, its_slope)
+                if its_slope @ direction >= 0.5 * fall:
+                    break
+                low = length
+            length = (low + high) / 2 if np.isfinite(high) else 2 * length
+        if accepted is None:
+            break
+        length, there, its_slope = accepted
+        step, change = length * direction, its_slope - slope
+        curvature = float(step @ change)
+        if curvature > 0:
+            if turn == 0:
+                inverse = np.eye(len(x)) * curvature / float(change @ change)
+            shift = np.eye(len(x)) - np.outer(step, change) / curvature
+            inverse = shift @ inverse @ shift.T + np.outer(step, step) / curvature
+        x, value, slope = x + step, there, its_slope
+        recent.append(value)
+    return x, value
 
 
 @dataclass(frozen=True)

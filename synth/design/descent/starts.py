@@ -19,7 +19,7 @@ quick method is known (Blondel, Gevers, Lindquist 1995).
 """
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import linalg
@@ -27,8 +27,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.minimax import MinimaxProblem, descend, descend_norm
-from synth.design.descent.terms import Decay
+from synth.design.descent.minimax import descend_norm, quasi_newton
 from synth.design.full_order.riccati import state_gain
 from synth.plant.generalized import Plant
 from synth.plant.units import size
@@ -148,8 +147,6 @@ STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of t
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
 MOST_SHIFTS = 40
-ROUNDS = 30  # of the descent on the largest real part
-STALLS = 1e-4  # relative decrease over ten rounds that ends it
 OF_ALL = 2.0  # times the work of a norm of the plant's: that from every state to every state
 STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
 
@@ -174,23 +171,6 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
             yield stable
 
 
-def lower_poles(landscapes: Sequence[Landscape], x: Array, limit: Array, M: Array) -> Array:
-    """Returns a point at which the largest real part of a pole of any of the loops is smaller, negative if may be, shape (N,).
-
-    Args:
-        landscapes: landscapes of the plants, with the same points.
-        limit: largest entries, shape (N,).
-        M: directions in which the point may move, shape (N, free).
-    """
-    rate = _rate(landscapes[0])
-    minimax = MinimaxProblem([Decay(each, rate) for each in landscapes], [], limit)
-    return descend(minimax, x, M, ROUNDS, enough=2 + STABLE, flat=STALLS)[0]
-
-
-def _rate(landscape: Landscape) -> float:
-    return float(np.abs(np.linalg.eigvals(landscape.plant.A)).max()) or 1.0
-
-
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
     """Returns a stable point from one start, or None if this start leads to none.
 
@@ -198,17 +178,22 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
         limit: largest entries, shape (N,).
         patient: True for the second descent alone; otherwise the second begins where the first ends.
     """
-    rate = _rate(landscape)
-    if not patient:
-        x = lower_poles([landscape], x, limit, np.eye(len(x)))
-    history = [landscape.slowest(x) / rate]
+    rate = float(np.abs(np.linalg.eigvals(landscape.plant.A)).max()) or 1.0
+
+    def abscissa(x: Array, _: float = np.inf) -> tuple[float, Array]:
+        value, slope = landscape.abscissa(x)
+        return value / rate, slope / rate
+
+    if not patient and abscissa(x)[0] > STABLE:
+        x, _ = quasi_newton(abscissa, x, 100, STABLE)
+    history = [abscissa(x)[0]]
     for _ in range(MOST_SHIFTS):
         left, shifts = STALLED
         lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
         if history[-1] <= 0.1 * STABLE or lost or landscape.work.over or np.any(np.abs(x) > limit):
             break
         x, _ = descend_norm(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
-        history.append(landscape.slowest(x) / rate)
+        history.append(abscissa(x)[0])
     inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
     return x if inside else None
 

@@ -12,8 +12,6 @@ import numpy as np
 from models.common.arrays import Array
 from synth.design.descent.landscape import Cuts, Landscape
 
-NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
-
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
@@ -106,28 +104,3 @@ class NormTerm(Term):
     def _made(self, x: Array, cuts: Cuts, touching: bool) -> Linearisation:
         values, slopes = self.landscape.heights(x, cuts)
         return Linearisation(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
-
-
-class Decay(Term):
-    """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
-
-    def __init__(self, landscape: Landscape, rate: float) -> None:
-        self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
-
-    def value(self, x: Array, above: float = np.inf) -> float:
-        """Returns the value of the slowest pole."""
-        return 2 + self.landscape.slowest(x) / self.rate
-
-    def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Returns the real parts of all poles near the bound."""
-        return self._made(x, value - max(depth, NEAR), touching=True)
-
-    def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
-        """Returns the real parts of the poles at the other point."""
-        return self._made(x, self.value(x) - NEAR, touching=False)
-
-    def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
-        real, slopes = self.landscape.decays(x)
-        values = 2 + real / self.rate
-        near = values >= above
-        return Linearisation(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))

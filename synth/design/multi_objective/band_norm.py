@@ -7,6 +7,7 @@ stable, which a norm in a band does not imply.
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.norm import highest, level_crossings
@@ -23,6 +24,7 @@ class BandLandscape(Landscape):
 
     Attributes:
         band: lower and upper frequency [rad/s]; for a discrete plant, of its continuous image.
+        own: number of its states without those of filters.
     """
 
     def __init__(self, plant: Plant, band: Band, like: Landscape | None = None) -> None:
@@ -33,6 +35,7 @@ class BandLandscape(Landscape):
         """
         super().__init__(plant)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
+        self.own = len(plant.A) - plant.weights
         if like is not None:
             self.scale = like.scale
 
@@ -90,6 +93,36 @@ class BandLandscape(Landscape):
         """Returns True for frequencies at which a peak moves with the gain: not at the ends of the band."""
         low, high = self.band
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
+
+    def slowest(self, x: Array) -> float:
+        """Returns the largest real part of a pole that a gain moves [rad/s]; infinite if the loop is not finite."""
+        if self.own == len(self.plant.A):
+            poles = self.modes(x).poles
+        else:
+            A = self.loop(x).A[: self.own, : self.own]
+            poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.array([np.nan])
+        largest = float(np.real(poles).max())
+        return largest if np.isfinite(largest) else np.inf
+
+    def decays(self, x: Array) -> tuple[Array, Array]:
+        """Returns the real parts of the poles that a gain moves [rad/s], one per pair, shape (P,), and slopes, shape (P, m q).
+
+        Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
+        """
+        loop, own, known = self.loop(x), slice(self.own), self.modes(x) if self.own == len(self.plant.A) else None
+        if known is not None and known.vectors is not None:
+            poles, (right, left) = known.poles, known.vectors
+            mask = np.imag(poles) >= 0
+            left, right = left[mask], right[:, mask].T
+        else:
+            poles, left, right = (np.asarray(part) for part in linalg.eig(loop.A[own, own], left=True, right=True))
+            mask = np.imag(poles) >= 0
+            left, right = left[:, mask].conj().T, right[:, mask].T
+        along = np.sum(left * right, axis=1)
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
+        driven, seen = left @ loop.B[own], right @ loop.Cy[:, own].T
+        slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
+        return np.real(poles[mask]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:
         """Returns the frequencies within the band and its finite ends, ascending."""

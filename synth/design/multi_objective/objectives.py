@@ -1,4 +1,4 @@
-"""The peak of a signal for a given energy of the disturbance, as a bound of a minimax problem."""
+"""Terms of goals other than norms: the decay of a loop, and the peak of a signal for a given energy of the disturbance."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +9,33 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.design.descent.terms import Linearisation, Term
 from synth.design.multi_objective.band_norm import BandLandscape
+
+NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
+
+
+class Decay(Term):
+    """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
+
+    def __init__(self, landscape: BandLandscape, rate: float) -> None:
+        self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
+
+    def value(self, x: Array, above: float = np.inf) -> float:
+        """Returns the value of the slowest pole."""
+        return 2 + self.landscape.slowest(x) / self.rate
+
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
+        """Returns the real parts of all poles near the bound."""
+        return self._made(x, value - max(depth, NEAR), touching=True)
+
+    def reevaluate(self, x: Array, cuts: Any) -> Linearisation:
+        """Returns the real parts of the poles at the other point."""
+        return self._made(x, self.value(x) - NEAR, touching=False)
+
+    def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
+        real, slopes = self.landscape.decays(x)
+        values = 2 + real / self.rate
+        near = values >= above
+        return Linearisation(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from models.common.checks import AT_LEAST_ONE, Bound, Checked, Index, Matrix, No
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
-from synth.design.descent.terms import Decay, NormTerm, Term
+from synth.design.descent.terms import NormTerm, Term
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
-from synth.design.multi_objective.objectives import BoundedSignal, EnergyPeak
+from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import RoadLoop
 from synth.plant.generalized import Plant
