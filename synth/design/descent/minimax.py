@@ -40,19 +40,18 @@ NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
 KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
 POINTS = 3  # whose values are cached: the last one, and those of trial steps
 
-Function = Callable[[Array, float], tuple[float, Array | None]]
+Function = Callable[[Array], tuple[float, Array]]
 
 
 def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.inf) -> tuple[Array, float]:
     """BFGS from x, until the function is below the target or no longer falls.
 
     Args:
-        function: (x, above) -> value and slope. Where the value exceeds `above` it may be any such number, and the slope None.
+        function: x -> value and slope; the value is infinite where there is none.
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
-    value, slope = function(x, np.inf)
-    assert slope is not None
+    value, slope = function(x)
     inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
     recent = [value]
     for turn in range(rounds):
@@ -65,8 +64,8 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
         low, high, length, accepted = 0.0, np.inf, 1.0, None
         for _ in range(15):
             allowed = value + 1e-4 * length * fall
-            there, its_slope = function(x + length * direction, allowed)
-            if its_slope is None or not there <= allowed:
+            there, its_slope = function(x + length * direction)
+            if not there <= allowed:
                 high = length
             else:
                 accepted = (length, there, its_slope)
