@@ -192,8 +192,8 @@ def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float)
     from synth.design.descent.starts import state_feedback_start
 
     landscape, why = Landscape(plant), ""
-    for share in LEVELS if below is not None else ():
-        for x in state_feedback_start(landscape, below.gamma * (1 + share)):
+    for share in LEVELS:
+        for x in state_feedback_start(landscape, below.gamma * (1 + share)) if below is not None else ():
             K = landscape.gain(x)
             entry, beyond = float(np.abs(K).max()), "with poles too fast for actuators; give largest_gain to allow them"
             if entry > largest_gain:

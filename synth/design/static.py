@@ -42,7 +42,7 @@ from synth.plant.units import size
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
-ALL = 100
+ALL = 100  # starts; there are never so many
 # Rounds of descent, from how many of the best starts, and the share of a rival's norm above which the search ends.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
 CONVERGED = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
@@ -50,7 +50,7 @@ AGAINST = 3  # starts against a rival
 ENTERED = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
-NEAR = 1e-3  # relative; how far above that level a state feedback begins, for the nearer its norm, the larger its gain
+NEAR = 1e-3  # relative; how far above that a state feedback begins: the nearer its norm, the larger its gain
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
 SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
 AROUND = 60  # rounds of each of these descents
@@ -205,8 +205,7 @@ class GainSearch:
         self.plant, self.rival = plant, rival
         self.landscape = Landscape(plant, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
-        self.alike = alike
-        own = self.landscape.plant
+        self.alike, own = alike, self.landscape.plant
         self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
         self.enough = max(beaten_by_none * (1 + enough), self.nothing)
 
@@ -273,7 +272,7 @@ class GainSearch:
         loop = self.plant.closed(static_law(K))
         return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
-    def raced(self, candidates: list[Candidate]) -> Candidate:
+    def successive_halving(self, candidates: list[Candidate]) -> Candidate:
         """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
         few = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
@@ -291,7 +290,7 @@ class GainSearch:
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """Returns the best end of the descents from the candidates, and from the surroundings of the best."""
-        n, best = len(self.plant.A), self.raced(candidates)
+        n, best = len(self.plant.A), self.successive_halving(candidates)
         if best.norm > self.rival * HEATS[-1][2]:
             return best
         best = self.step(best, converged := int(CONVERGED * min(1.0, (LARGE / n) ** 2)))

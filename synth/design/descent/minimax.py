@@ -40,19 +40,18 @@ NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
 KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
 POINTS = 3  # whose values are cached: the last one, and those of trial steps
 
-Function = Callable[[Array, float], tuple[float, Array | None]]
+Function = Callable[[Array], tuple[float, Array]]
 
 
 def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.inf) -> tuple[Array, float]:
     """BFGS from x, until the function is below the target or no longer falls.
 
     Args:
-        function: (x, above) -> value and slope. Where the value exceeds `above` it may be any such number, and the slope None.
+        function: x -> value and slope; the value is infinite where there is none.
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
-    value, slope = function(x, np.inf)
-    assert slope is not None
+    value, slope = function(x)
     inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
     recent = [value]
     for turn in range(rounds):
@@ -65,8 +64,8 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
         low, high, length, accepted = 0.0, np.inf, 1.0, None
         for _ in range(15):
             allowed = value + 1e-4 * length * fall
-            there, its_slope = function(x + length * direction, allowed)
-            if its_slope is None or not there <= allowed:
+            there, its_slope = function(x + length * direction)
+            if not there <= allowed:
                 high = length
             else:
                 accepted = (length, there, its_slope)
@@ -109,23 +108,8 @@ class Evaluation:
         return self.excess <= KEPT
 
 
-@dataclass(frozen=True, eq=False)
-class LocalModel:
-    """Supports of all terms that may count near a point.
-
-    Attributes:
-        goals: supports of the goals, each with the index of its term.
-        bounds: supports of the bounds, each with the index of its term.
-    """
-
-    goals: tuple[tuple[int, Linearisation], ...]
-    bounds: tuple[tuple[int, Linearisation], ...]
-
-    def __add__(self, other: "LocalModel") -> "LocalModel":
-        return LocalModel(self.goals + other.goals, self.bounds + other.bounds)
-
-
-Cuts = tuple[list[tuple[int, Any]], list[tuple[int, Any]]]  # cuts of goals and of bounds, each with the index of its term
+Model = list[tuple[int, Linearisation]]  # functions near a point, each with the index of its term
+Cuts = list[tuple[int, Any]]  # their identifications
 
 
 class MinimaxProblem:
@@ -175,11 +159,16 @@ class MinimaxProblem:
                 break
         return Evaluation(goal, excess, (i, j))
 
+    @property
+    def terms(self) -> list[Term]:
+        """The goals, then the bounds."""
+        return [*self.goals, *self.bounds]
+
     def cut(self, x: Array, evaluation: Evaluation) -> Cuts:
         """Returns the cuts of the largest goal and of the worst exceeded bound at the point of the last evaluation."""
         i, j = evaluation.worst
-        bounds = [(j, self.bounds[j].cut(x, 1 + evaluation.excess))] if evaluation.excess > 0 else []
-        return [(i, self.goals[i].cut(x, evaluation.goal))], bounds
+        bounds = [(len(self.goals) + j, self.bounds[j].cut(x, 1 + evaluation.excess))] if evaluation.excess > 0 else []
+        return [(i, self.goals[i].cut(x, evaluation.goal)), *bounds]
 
     def passed(self, x: Array) -> dict[str, float]:
         """Returns the bounds that a point exceeds, by name, with the relative excess, the worst first."""
@@ -188,37 +177,19 @@ class MinimaxProblem:
             excess.setdefault(term.name, term.value(x) - 1)
         return {name: share for name, share in excess.items() if share > KEPT}
 
-    def model(self, x: Array, evaluation: Evaluation, depth: float) -> LocalModel:
+    def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
         """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
-        goals, bounds = [], []
-        for i, term in enumerate(self.goals):
-            value = self.value(term, x)
-            if value >= evaluation.goal * (1 - depth):
-                goals.append((i, term.support(x, value, 1 - evaluation.goal * (1 - depth) / value if value > 0 else depth)))
-        for i, term in enumerate(self.bounds):
-            value = self.value(term, x)
-            if value >= 1 - 3 * depth:
-                bounds.append((i, term.support(x, value, depth)))
-        return LocalModel(tuple(goals), tuple(bounds))
+        model, level = Model(), evaluation.goal * (1 - depth)
+        for i, term in enumerate(self.terms):
+            value, goal = self.value(term, x), i < len(self.goals)
+            if value >= (level if goal else 1 - 3 * depth):
+                model.append((i, term.support(x, value, 1 - level / value if goal and value > 0 else depth)))
+        return model
 
-    def of_cuts(self, x: Array, cuts: Cuts) -> LocalModel:
+    def of_cuts(self, x: Array, cuts: Cuts) -> Model:
         """Returns the functions of cuts at a point."""
-        goals, bounds = cuts
-        return LocalModel(
-            tuple((i, self.goals[i].reevaluate(x, each)) for i, each in goals),
-            tuple((i, self.bounds[i].reevaluate(x, each)) for i, each in bounds),
-        )
-
-
-def _joined(one: Cuts, other: Cuts) -> Cuts:
-    return one[0] + other[0], one[1] + other[1]
-
-
-def stacked(supports: Sequence[tuple[int, Linearisation]], count: int) -> tuple[Array, Array]:
-    """Returns the joined values, shape (F,), and slopes, shape (F, N), of supports."""
-    if not supports:
-        return np.zeros(0), np.zeros((0, count))
-    return np.concatenate([each.values for _, each in supports]), np.concatenate([each.slopes for _, each in supports])
+        terms = self.terms
+        return [(i, terms[i].reevaluate(x, each)) for i, each in cuts]
 
 
 FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
@@ -290,7 +261,7 @@ class _Walk:
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
         self.hessian = 0.1 * np.eye(M.shape[1])
-        self.kept: Cuts = [], []
+        self.kept = Cuts()
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
@@ -312,10 +283,14 @@ class _Walk:
         now = max(float(values.max()), 0.0)
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
-    def linear(self, model: LocalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Returns the model's functions in the descent's coordinates, relative."""
-        n, goal = len(self.x), self.evaluation.goal
-        (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
+    def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Returns the model's functions of goals and of bounds in the descent's coordinates, relative."""
+        empty, count, goal = np.zeros((0, len(self.x))), len(self.minimax.goals), self.evaluation.goal
+        goals, bounds = ([each for i, each in model if (i < count) == which] for which in (True, False))
+        (v, s), (c, w) = (
+            (np.concatenate([empty[:, 0], *(each.values for each in some)]), np.vstack([empty, *(each.slopes for each in some)]))
+            for some in (goals, bounds)
+        )
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
 
     def step(self) -> bool:
@@ -341,14 +316,14 @@ class _Walk:
         if not fall > 1e-10:
             self.depth, self.failures = self.depth / 4, self.failures + 1
             return True
-        move, length, beyond, corrected = M @ t, 1.0, ([], []), False
+        move, length, beyond, corrected = M @ t, 1.0, Cuts(), False
         while length > 1e-3:
             allowed = here * (1 - 1e-2 * length * fall)
             there = self.at(x + length * move, allowed)
             if self.merit(there) <= allowed:
                 break
             if np.isfinite(self.merit(there)):  # what is larger there is missing in the model
-                beyond = _joined(beyond, minimax.cut(x + length * move, there))
+                beyond += minimax.cut(x + length * move, there)
                 if not corrected:
                     # The edges are curved, so they are modelled anew at the end of the step (a second-order correction).
                     corrected = True
@@ -360,7 +335,7 @@ class _Walk:
             length *= 0.3
         else:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
-            self.kept = _joined(self.kept, beyond)
+            self.kept += beyond
             return True
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
             needed = self.merit(there) - 0.1 * length * fall * here
@@ -382,30 +357,24 @@ class _Walk:
     def corrected(self, end: Array, t: Array) -> Array:
         """Returns the step t again, by the functions as they are at its end, shape (N,)."""
         goal, depth = self.evaluation.goal, self.depth
-        model = LocalModel(
-            tuple((i, term.support(end, goal, depth)) for i, term in enumerate(self.minimax.goals)),
-            tuple((i, term.support(end, 1.0, depth)) for i, term in enumerate(self.minimax.bounds)),
-        )
+        count = len(self.minimax.goals)
+        model = [(i, term.support(end, goal if i < count else 1.0, depth)) for i, term in enumerate(self.minimax.terms)]
         (v, s), (c, w) = self.linear(model)
         if not len(v) or not np.isfinite(v).all() or not np.isfinite(c).all():
             return self.M @ t
         return self.M @ self.lowest((v - s @ t, s), (c - w @ t, w))[0]
 
-    def curvature(self, fresh: LocalModel, of_goals: Array, of_bounds: Array) -> Array:
+    def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
         """Returns the curvature of the functions that are active at the point, as if the functions of cuts were not."""
-        total, share = np.zeros((len(self.x), len(self.x))), of_goals[: sum(len(each.values) for _, each in fresh.goals)].sum()
-        if share < LITTLE:
-            return total
-        for terms, supports, weights, unit in (
-            (self.minimax.goals, fresh.goals, of_goals, self.evaluation.goal * share),
-            (self.minimax.bounds, fresh.bounds, of_bounds, share),
-        ):
-            start = 0
-            for i, support in supports:
-                own = weights[start : start + len(support.values)]
-                start += len(support.values)
-                if len(own) and own.max() > LITTLE:
-                    total += terms[i].curvature(self.x, support, own) / unit
+        total, terms, count = np.zeros((len(self.x), len(self.x))), self.minimax.terms, len(self.minimax.goals)
+        share = of_goals[: sum(len(each.values) for i, each in fresh if i < count)].sum()
+        start = [0, 0]
+        for i, support in fresh if share >= LITTLE else ():
+            bound, length = i >= count, len(support.values)
+            own = (of_bounds if bound else of_goals)[start[bound] : start[bound] + length]
+            start[bound] += length
+            if length and own.max() > LITTLE:
+                total += terms[i].curvature(self.x, support, own) / (share if bound else share * self.evaluation.goal)
         return total
 
 

@@ -19,7 +19,7 @@ quick method is known (Blondel, Gevers, Lindquist 1995).
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import linalg
@@ -147,6 +147,7 @@ STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of t
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
 MOST_SHIFTS = 40
+ROUNDS = 100  # of the descent on the largest real part
 OF_ALL = 2.0  # times the work of a norm of the plant's: that from every state to every state
 STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
 
@@ -171,6 +172,29 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
             yield stable
 
 
+def lower_poles(landscapes: Sequence[Landscape], x: Array, free: Array) -> Array:
+    """Returns a point at which the largest real part of a pole of any of the loops is smaller, negative if may be, shape (N,).
+
+    Args:
+        landscapes: landscapes of the plants, with the same points.
+        free: indices of the entries of a point that may move.
+    """
+    rate, moved = _rate(landscapes[0]), x.copy()
+
+    def abscissa(t: Array) -> tuple[float, Array]:
+        moved[free] = t
+        value, slope = max((landscape.abscissa(moved) for landscape in landscapes), key=lambda each: each[0])
+        return value / rate, slope[free] / rate
+
+    if np.isfinite(abscissa(x[free])[0]):
+        moved[free] = quasi_newton(abscissa, x[free], ROUNDS, STABLE)[0]
+    return moved
+
+
+def _rate(landscape: Landscape) -> float:
+    return float(np.abs(np.linalg.eigvals(landscape.plant.A)).max()) or 1.0
+
+
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
     """Returns a stable point from one start, or None if this start leads to none.
 
@@ -178,22 +202,16 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
         limit: largest entries, shape (N,).
         patient: True for the second descent alone; otherwise the second begins where the first ends.
     """
-    rate = float(np.abs(np.linalg.eigvals(landscape.plant.A)).max()) or 1.0
-
-    def abscissa(x: Array, _: float = np.inf) -> tuple[float, Array]:
-        value, slope = landscape.abscissa(x)
-        return value / rate, slope / rate
-
-    if not patient and abscissa(x)[0] > STABLE:
-        x, _ = quasi_newton(abscissa, x, 100, STABLE)
-    history = [abscissa(x)[0]]
+    rate = _rate(landscape)
+    x = x if patient else lower_poles([landscape], x, np.arange(len(x)))
+    history = [landscape.abscissa(x)[0] / rate]
     for _ in range(MOST_SHIFTS):
         left, shifts = STALLED
         lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
         if history[-1] <= 0.1 * STABLE or lost or landscape.work.over or np.any(np.abs(x) > limit):
             break
         x, _ = descend_norm(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
-        history.append(abscissa(x)[0])
+        history.append(landscape.abscissa(x)[0] / rate)
     inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
     return x if inside else None
 

@@ -351,7 +351,7 @@ class _Search:
         Args:
             starts: laws of this structure, or of fewer states; where none of them is stable, others are sought.
             origin: name of the start, where the search finds its own.
-            whole: True for a search to its end, False for heats alone.
+            whole: True for a search to its end, False for its first descents alone.
             sought: number of stabilising starts that are tried where no start is stable.
 
         Raises:
@@ -370,7 +370,7 @@ class _Search:
             candidates = candidates or (search.starts(sought) if sought else [])
             if not candidates:
                 continue
-            best = search.best(candidates) if whole else search.raced(candidates)
+            best = search.best(candidates) if whole else search.successive_halving(candidates)
             law = posed.law(search.landscape.gain(best.x))
             if self.stable:
                 law = self.made_stable(posed, [law, *(posed.law(search.landscape.gain(each.x)) for each in candidates)])

@@ -16,40 +16,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import percent
 from synth.design.descent.coordinates import directions
-from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend, quasi_newton
-from synth.design.descent.starts import survey
+from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend
+from synth.design.descent.starts import lower_poles, survey
 from synth.design.descent.terms import NormTerm
-from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, decay, objectives_of
 from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.plant.numerics import DesignError
-
-STABLE = -1e-4  # largest real part at which stabilisation ends, as a share of the fastest pole
-STABILISING_ROUNDS = 100
-
-
-def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: Array) -> Array:
-    """Returns a point at which the largest real part of a pole of any of the loops is smaller.
-
-    Args:
-        landscapes: landscapes of the plants, with the same points.
-        free: indices of the entries of a point that may move.
-    """
-    rate = float(np.abs(np.linalg.eigvals(landscapes[0].plant.A)).max()) or 1.0
-
-    def abscissa(t: Array, _: float) -> tuple[float, Array]:
-        there = x.copy()
-        there[free] = t
-        value, slope = max((landscape.abscissa(there) for landscape in landscapes), key=lambda each: each[0])
-        return value / rate, slope[free] / rate
-
-    moved = x.copy()
-    if np.isfinite(abscissa(x[free], np.inf)[0]):
-        moved[free] = quasi_newton(abscissa, x[free], STABILISING_ROUNDS, STABLE)[0]
-    return moved
-
 
 LARGEST_GAIN = 1e5  # largest unbounded gain, in units of a point, while other bounds are exceeded
 DEAREST = 32.0  # times that, or times a larger gain of the start: limit while a goal is lowered
@@ -289,7 +263,7 @@ class MinimaxSearch:
 
     def stabilised(self, x: Array) -> Array:
         """Returns a point at which the largest real part of a pole of any loop is smaller."""
-        moved = downhill_to_stability([term.landscape for term in self.norms()], x, self.free)
+        moved = lower_poles([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
