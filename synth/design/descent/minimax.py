@@ -47,7 +47,7 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     """BFGS from x, until the function is below the target or no longer falls.
 
     Args:
-        function: x -> value and slope; the value is infinite where there is none.
+        function: returns the value and the slope at a point; the value is infinite if the loop is not finite.
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
