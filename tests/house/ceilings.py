@@ -93,7 +93,7 @@ export: C99, fixed point, FMI, MATLAB                          3272   1454     9
 full-order H-infinity                                           913    724    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2100    734      0
+static search, descent, refine                                 2095    734      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 two steps, LMI path                                            2644   1002     35

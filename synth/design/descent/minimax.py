@@ -3,7 +3,7 @@
 - `descend` is sequential quadratic programming for a minimax problem. The largest of the linearised functions that bound the
   terms from below, plus their curvature, is the model of a step, and its minimum is the step. The functions found at the end of
   each step that is too long join the model, as in bundle methods. If the curvature is unknown or has the wrong sign, the step
-  length is measured in coordinates in which all directions have equal weight (`coordinates.py`).
+  length is measured in coordinates in which all directions have equal weight (`balanced_coordinates`).
 - While bounds are exceeded, a multiple of the excess is added to the goal (an exact penalty). If the factor exceeds the
   multipliers of the bounds, the minimum of the sum is the minimum of the goal within the bounds. A sum of two maxima is the
   maximum over pairs, so the model has the same form.
@@ -24,8 +24,7 @@ from scipy import optimize
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from synth.design.descent.coordinates import balanced_coordinates
-from synth.design.descent.landscape import Landscape
+from synth.design.descent.landscape import Landscape, balanced_coordinates
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
@@ -47,7 +46,11 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     """BFGS from x, until the function is below the target or no longer falls.
 
     Args:
+<<<<<<< HEAD
         function: x -> value and slope; the value is infinite where the function is not defined.
+=======
+        function: returns the value and the slope at a point; the value is infinite if the loop is not finite.
+>>>>>>> search
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """

@@ -15,7 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
-from synth.design.descent.coordinates import directions
+from synth.design.descent.landscape import directions
 from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend
 from synth.design.descent.starts import lower_poles, survey
 from synth.design.descent.terms import NormTerm
