@@ -46,11 +46,7 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     """BFGS from x, until the function is below the target or no longer falls.
 
     Args:
-<<<<<<< HEAD
-        function: x -> value and slope; the value is infinite where the function is not defined.
-=======
         function: returns the value and the slope at a point; the value is infinite if the loop is not finite.
->>>>>>> search
         x: starting point, with a finite value.
         rounds: largest number of rounds.
     """
