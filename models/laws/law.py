@@ -1,8 +1,18 @@
-"""Properties of a controller that a simulation needs; defaults are those of a law without states, preview and own delay."""
+"""Properties of any controller that a simulation needs, and of the source of its law in a vehicle file."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.common.errors import InputError
+
+if TYPE_CHECKING:
+    from models.laws.law_structure import DesignRequest
+    from models.laws.linear import LinearLaw
 
 
 class ControlLaw:
-    """Base of all controllers."""
+    """Base of all controllers. Defaults are those of a law without states, preview and own delay."""
 
     serial = False  # True if only one thread at a time can execute the law
 
@@ -27,3 +37,72 @@ class ControlLaw:
     def state_scale(self, period: float) -> float:
         """Returns the factor from the states that a linear law is run with to its own."""
         return 1.0
+
+
+Design = Callable[[str], ControlLaw]
+
+
+class LawSource:
+    """Base of what a controller's law comes from: numbers, a design, a file of code, or the name of a semi-active law."""
+
+    linear = True  # False if linear analysis does not apply to the law
+    sample_period: float | None = None  # of a given law in discrete time [s]
+
+    @property
+    def title(self) -> str:
+        """Kind of the law with its article, and its file."""
+        return "a linear law"
+
+    @property
+    def given(self) -> "LinearLaw | None":
+        """The linear law whose numbers the file contains; None for all other sources."""
+        return None
+
+    @property
+    def request(self) -> "DesignRequest | None":
+        """The design that the file requests; None for a law that is not designed."""
+        return None
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the law's own file; None without such a file."""
+        return None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The source as in the section of a vehicle file."""
+        return {}
+
+    def record_from(self, folder: Path) -> dict[str, Any]:
+        """Returns the key that names the law's file from another folder; empty without such a file.
+
+        Raises:
+            InputError: the file is not in that folder or below, where alone a vehicle file can name it.
+        """
+        return {}
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """Numbers of the law by key, `gain[0][1]` for an entry of a matrix; None for a default. Empty for other laws."""
+        return {}
+
+    def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
+        """Returns the section of the law with other `values`, as in a vehicle file."""
+        return self.record
+
+    def driver(
+        self, name: str, measured: tuple[str, ...], design: Design | None = None, read: Callable[[], str] | None = None
+    ) -> ControlLaw:
+        """Returns the controller with this law.
+
+        Args:
+            name, measured: name of the controller, and its measured signals.
+            design: function that designs or certifies a linear controller by its name.
+            read: function that returns the text of a law in Python; by default it is read from the law's file, and not run.
+
+        Raises:
+            InputError: the law is linear and `design` is None, or the file of the law cannot be read.
+        """
+        if design is None:
+            raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design")
+        return design(name)

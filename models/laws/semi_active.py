@@ -18,7 +18,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.schema import SI, Choice, Section, keys
-from models.laws.law import ControlLaw
+from models.laws.law import ControlLaw, Design, LawSource
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -150,7 +150,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 
 @dataclass(frozen=True)
-class SemiActiveLaw:
+class SemiActiveLaw(LawSource):
     """Shipped law, as a vehicle file names it.
 
     Attributes:
@@ -159,6 +159,8 @@ class SemiActiveLaw:
         endings: suffixes of the names at the suspensions, in the order of the forces.
         modes: modes of the body that the law measures; empty for laws that work corner by corner.
     """
+
+    linear = False
 
     name: str
     numbers: tuple[tuple[str, float], ...] = ()
@@ -174,6 +176,26 @@ class SemiActiveLaw:
     def record(self) -> dict[str, Any]:
         """The law as JSON and TOML hold it."""
         return {"semi_active": self.name, **dict(self.numbers)}
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """See `LawSource`."""
+        return {key: dict(self.numbers).get(key) for key in LAWS[self.name][2]}
+
+    def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
+        """See `LawSource`."""
+        return {**self.record, **values}
+
+    @property
+    def title(self) -> str:
+        """See `LawSource`."""
+        return "a semi-active law"
+
+    def driver(
+        self, name: str, measured: tuple[str, ...], design: Design | None = None, read: Callable[[], str] | None = None
+    ) -> "SemiActive":
+        """See `LawSource`."""
+        return SemiActive(name, self)
 
     @property
     def text(self) -> str:

@@ -48,7 +48,7 @@ def controllers_of(
     for name in names:
         show(f"controller {name}")
         try:
-            drivers.append(design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver())
+            drivers.append(vehicle.driver(name, design))
         except InputError as error:
             if name not in vehicle.linear_names or len(names) == 1:
                 raise

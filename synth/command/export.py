@@ -102,7 +102,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         raise InputError("--numbers is for C code, but a MATLAB file always has double numbers; omit --numbers")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
-    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
+    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].request.preview]
     held = [name for name in own if name not in left_out] or own
     names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
     other = [name for name in names if name not in linear]
@@ -214,7 +214,7 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
             f"--export: {name!r} commands force actuators, but the vehicle file has semi-active dampers; export {name!r} from a "
             "file without [actuators]"
         )
-    if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
+    if entry is not None and entry.source.request is None:
         return vehicle, name
     show(f"controller {name}")
     controller = Designer(vehicle).design(name)

@@ -362,7 +362,7 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     """A vehicle file that is text alone names a law and reads none; nor does reading a file run it."""
     path = vehicle_of(tmp_path, "raise SystemExit(3)\n")
     alone = parse_vehicle(path.read_text(encoding="utf-8"))
-    assert alone.controllers["mine"].python is not None
+    assert not alone.controllers["mine"].linear
     with pytest.raises(InputError, match="read from text"):
         alone.controllers["mine"].driver()
     assert read_vehicle(path).controllers["mine"].driver().name == "mine"
