@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NoReturn, TypeVar
 
 from models.common.errors import InputError
 
-if TYPE_CHECKING:
-    from models.laws.law_structure import DesignRequest
-    from models.laws.linear import LinearLaw
+T = TypeVar("T")
+Design = Callable[[str], T]  # of a linear controller, by its name
 
 
 class ControlLaw:
@@ -39,11 +38,11 @@ class ControlLaw:
         return 1.0
 
 
-Design = Callable[[str], ControlLaw]
-
-
 class LawSource:
-    """Base of what a controller's law comes from: numbers, a design, a file of code, or the name of a semi-active law."""
+    """Base of what a controller's law comes from: numbers, a design, a file of code, or the name of a semi-active law.
+
+    A source also has `given`, its `LinearLaw`, and `request`, its `DesignRequest`, each None for all others.
+    """
 
     linear = True  # False if linear analysis does not apply to the law
     sample_period: float | None = None  # of a given law in discrete time [s]
@@ -52,16 +51,6 @@ class LawSource:
     def title(self) -> str:
         """Kind of the law with its article, and its file."""
         return "a linear law"
-
-    @property
-    def given(self) -> "LinearLaw | None":
-        """The linear law whose numbers the file contains; None for all other sources."""
-        return None
-
-    @property
-    def request(self) -> "DesignRequest | None":
-        """The design that the file requests; None for a law that is not designed."""
-        return None
 
     @property
     def path(self) -> Path | None:
@@ -90,9 +79,7 @@ class LawSource:
         """Returns the section of the law with other `values`, as in a vehicle file."""
         return self.record
 
-    def driver(
-        self, name: str, measured: tuple[str, ...], design: Design | None = None, read: Callable[[], str] | None = None
-    ) -> ControlLaw:
+    def driver(self, name: str, measured: tuple[str, ...], design: Design[T], read: Callable[[], str] | None = None) -> T:
         """Returns the controller with this law.
 
         Args:
@@ -101,8 +88,11 @@ class LawSource:
             read: function that returns the text of a law in Python; by default it is read from the law's file, and not run.
 
         Raises:
-            InputError: the law is linear and `design` is None, or the file of the law cannot be read.
+            InputError: the file of the law cannot be read, or an error of `design`.
         """
-        if design is None:
-            raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design")
         return design(name)
+
+
+def no_design(name: str) -> NoReturn:
+    """Refuses to design a linear controller."""
+    raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

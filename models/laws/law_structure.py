@@ -83,6 +83,7 @@ class DesignRequest(Demands, LawSource):
     """
 
     given_as = "the design that a controller's section requests"
+    given = None
 
     design: str = ""
     structure: LawStructure | None = None

@@ -41,6 +41,8 @@ class LinearLaw(LawSource):
             many states; the message names it.
     """
 
+    request = None
+
     A: Array
     B: Array
     C: Array

@@ -42,6 +42,7 @@ class PythonLaw(LawSource):
     """
 
     linear = False
+    given = request = None
 
     law: str
     preview: float | None = None
@@ -99,7 +100,7 @@ class PythonLaw(LawSource):
         return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
 
     def driver(
-        self, name: str, measured: tuple[str, ...], design: Design | None = None, read: Callable[[], str] | None = None
+        self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
     ) -> "Programmed":
         """See `LawSource`."""
         with error_in(f"controller {name!r}:"):

@@ -161,6 +161,7 @@ class SemiActiveLaw(LawSource):
     """
 
     linear = False
+    given = request = None
 
     name: str
     numbers: tuple[tuple[str, float], ...] = ()
@@ -192,7 +193,7 @@ class SemiActiveLaw(LawSource):
         return "a semi-active law"
 
     def driver(
-        self, name: str, measured: tuple[str, ...], design: Design | None = None, read: Callable[[], str] | None = None
+        self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
     ) -> "SemiActive":
         """See `LawSource`."""
         return SemiActive(name, self)

@@ -19,11 +19,11 @@ from models.laws.combinations import PATTERNS, check_together, goes, section_par
 from models.laws.design_methods import DESIGNS, OF_STATE, PREVIEW
 from models.laws.filter import Filter
 from models.laws.goals import Goals
-from models.laws.law import ControlLaw, Design, LawSource
+from models.laws.law import Design, T, no_design
 from models.laws.law_structure import FULL, Demands, DesignRequest, StructureSection
 from models.laws.linear import MATRICES, LinearLaw, static_law
-from models.laws.python_law import ProgramSection
-from models.laws.semi_active import SemiActiveSection
+from models.laws.python_law import Programmed, ProgramSection, PythonLaw
+from models.laws.semi_active import SemiActive, SemiActiveLaw, SemiActiveSection
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, NO_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
 from models.vehicle.sections import PUSHING
@@ -59,6 +59,9 @@ class DesignConditions:
 NOMINAL = DesignConditions()
 
 
+Source = LinearLaw | DesignRequest | PythonLaw | SemiActiveLaw
+
+
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
     """Controller of a vehicle file, made from `ControllerSection`.
@@ -79,7 +82,7 @@ class ControllerEntry:
 
     name: str
     measured: tuple[str, ...]
-    source: LawSource = field(default_factory=DesignRequest)
+    source: Source = field(default_factory=DesignRequest)
     certificate: Mapping[str, Any] | None = None
     hardware: DesignConditions = NOMINAL
     goals: Goals | None = None
@@ -116,7 +119,7 @@ class ControllerEntry:
         parts = section_parts(given | {"study": self.study}, ())
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
-    def driver(self, design: Design | None = None, read: Callable[[], str] | None = None) -> ControlLaw:
+    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
         """Returns the controller; arguments and errors are those of `LawSource.driver`."""
         return self.source.driver(self.name, self.measured, design, read)
 

@@ -22,7 +22,9 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import names_of, of_dampers
-from models.laws.law import ControlLaw, Design
+from models.laws.law import Design, T
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
 from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
@@ -534,7 +536,7 @@ class Vehicle(Shown):
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
-    def driver(self, name: str, design: Design, read: Callable[[], str] | None = None) -> ControlLaw:
+    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
         """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import read_text
+from models.laws.law import no_design
 from models.laws.linear import law_of
 from models.laws.preview import preview_of
 from models.laws.python_law import sha256
@@ -86,7 +87,7 @@ def _drawn(designer: Designer, name: str, values: Values) -> AnyController:
     """Returns a controller with drawn values of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
     law = entry.law
-    return entry.driver(None if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))
+    return entry.driver(no_design if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))
 
 
 def check_code(gains: Gains, exported: Path) -> None:

@@ -13,6 +13,8 @@ from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
@@ -188,7 +190,7 @@ class Controller(ControlLaw, Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
-AnyController = ControlLaw
+AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
 
 
 def code_of(driver: object) -> Any:
