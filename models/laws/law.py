@@ -11,9 +11,19 @@ Design = Callable[[str], T]  # of a linear controller, by its name
 
 
 class ControlLaw:
-    """Base of all controllers. Defaults are those of a law without states, preview and own delay."""
+    """Base of all controllers. Defaults are those of a law without states, preview, own delay and certificate.
+
+    A controller that drives a vehicle has `linear`, True if linear analysis applies, and `user_code`, True for a law in Python.
+    """
 
     serial = False  # True if only one thread at a time can execute the law
+    acts = True  # False if no measurement ever makes a force
+    growth = 0.0  # of the fastest growing state of a linear law by itself [1/s]
+    has_anti_windup = False
+    preview = None  # force from the road ahead, a `RoadPreview`
+    code: Any = None  # the `ExportedCode` that computes the outputs in runs
+    false_claims: tuple[str, ...] = ()  # of its certificate, in words
+    specifications = ()  # of its design or evaluation
 
     @property
     def states(self) -> int:
@@ -46,16 +56,8 @@ class LawSource:
 
     linear = True  # False if linear analysis does not apply to the law
     sample_period: float | None = None  # of a given law in discrete time [s]
-
-    @property
-    def title(self) -> str:
-        """Kind of the law with its article, and its file."""
-        return "a linear law"
-
-    @property
-    def path(self) -> Path | None:
-        """Path of the law's own file; None without such a file."""
-        return None
+    title = "a linear law"  # kind of the law with its article, and its file
+    path: Path | None = None  # of the law's own file
 
     @property
     def record(self) -> dict[str, Any]:

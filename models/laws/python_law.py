@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 from xml.etree import ElementTree
 
 from models.common.checks import AT_LEAST_ONE, check
@@ -94,7 +94,9 @@ class PythonLaw(LawSource):
 
     def record_from(self, folder: Path) -> dict[str, Any]:
         """See `LawSource`."""
-        place = os.path.relpath(os.path.realpath(self.path or self.file), os.path.realpath(folder))
+        if self.path is None:
+            return {}
+        place = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
         if place.startswith(os.pardir):
             raise InputError(f"the law {self.law} would be outside of the folder {folder}")
         return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
@@ -136,6 +138,9 @@ class Programmed(ControlLaw):
         source: text of the law's file, or of the function, as far as Python knows it.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
+
+    linear: ClassVar[Literal[False]] = False
+    user_code: ClassVar[Literal[True]] = True
 
     name: str
     measured: tuple[str, ...]

@@ -11,7 +11,7 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -160,7 +160,7 @@ class SemiActiveLaw(LawSource):
         modes: modes of the body that the law measures; empty for laws that work corner by corner.
     """
 
-    linear = False
+    linear, title = False, "a semi-active law"
     given = request = None
 
     name: str
@@ -186,11 +186,6 @@ class SemiActiveLaw(LawSource):
     def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
         """See `LawSource`."""
         return {**self.record, **values}
-
-    @property
-    def title(self) -> str:
-        """See `LawSource`."""
-        return "a semi-active law"
 
     def driver(
         self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
@@ -225,6 +220,9 @@ class SemiActive(ControlLaw):
         law: the law.
         code: the exported code that computes its outputs in runs; None if its own law does.
     """
+
+    linear: ClassVar[Literal[False]] = False
+    user_code: ClassVar[Literal[False]] = False
 
     name: str
     law: SemiActiveLaw

@@ -66,7 +66,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
     """
     replacements = []
     for name, law in laws.items():
-        for key, named in law.record_from(folder).items() if law.path is not None else ():
+        for key, named in law.record_from(folder).items():
             if named != Path(law.record[key]).as_posix():
                 replacements.append(Replacement(("controllers", name, key), {key: named}))
     return with_replacements(text, replacements)

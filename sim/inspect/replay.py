@@ -15,7 +15,6 @@ from models.kinds.signals import Signal, kept_signals
 from models.laws.law_structure import DesignRequest
 from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
-from models.laws.python_law import Programmed
 from models.roads.description import described_road
 from models.roads.road import RoadInput
 from models.vehicle.controllers import RESERVED, ControllerEntry
@@ -127,7 +126,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
     road = RoadInput(vehicle, described_road(run.claim("road"), points), time, "signals" not in log.metadata)
     driver: RunDriver = controller
-    if isinstance(controller, Programmed):
+    if controller.user_code:
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
     made = simulate([driver], [road])

@@ -188,7 +188,7 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
     controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
     identifier = f"{c_name(kind)}_{c_name(name)}"
     law = f"controller {own} in continuous time"
-    if isinstance(controller, Controller) and controller.law.sample_period is not None:
+    if controller.law.sample_period is not None:
         law = f"the continuous counterpart (Tustin's method) of the discrete controller {own}"
     title = f"{kind}, linear, with {law}"
     model = linear_model(identifier, title, saved, loop_system(saved, controller))
@@ -219,7 +219,7 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     show(f"controller {name}")
     controller = Designer(vehicle).design(name)
     show("")
-    if not isinstance(controller, Controller) or not controller.designed:
+    if not controller.designed:
         return vehicle, name
     check_feedback_alone(controller, "an export")
     folder = Path(vehicle.source).parent

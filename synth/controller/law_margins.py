@@ -27,7 +27,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name, by_text, rough
 from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import Controller
 from synth.controller.disk_margin import DiskMargin, disk_margin
 from synth.controller.loop_of import loop_of
 from synth.plant.state_space import StateSpace
@@ -149,11 +149,6 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
         "grows from sample to sample; lower the gain on accelerations, or filter them."
     )
     return [text] if times else []
-
-
-def unstable_by_itself(driver: AnyController) -> bool:
-    """Returns True if a driver is a linear controller whose law is unstable by itself."""
-    return isinstance(driver, Controller) and driver.law.growth > 0
 
 
 def _clipped(vehicle: Vehicle) -> str:
