@@ -237,7 +237,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 def _expected(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
     """Returns the columns of a row for expected metrics over a random road, and the remaining transient when measuring begins."""
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
-    if spectrum is None or controller.linear is False:
+    if spectrum is None:
         return {}
     window = (len(campaign.time) - campaign.first) * campaign.timestep
     values: dict[str, Any] = {}

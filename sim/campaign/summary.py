@@ -38,7 +38,7 @@ from sim.studies.ride.standing import (
     standing_lines,
     standing_over_runs,
 )
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
 
@@ -336,7 +336,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     spectrum = choice.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration).spectrum
     assert spectrum is not None, "the road is random"
 
-    def expected(car: Vehicle, controller: Controller) -> list[float] | None:
+    def expected(car: Vehicle, controller: AnyController) -> list[float] | None:
         found = expect(car.with_ideal_actuators, controller, spectrum, campaign.timestep, campaign.duration - campaign.settle)
         return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
 
@@ -350,7 +350,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     crosses = {
         one: expected(vehicle, controller)
         for one, controller in plan.controllers[name].items()
-        if controller.linear is True and controller.acts and one not in campaign.variants[name]
+        if controller.acts and one not in campaign.variants[name]
     }
     return np.array([one for one in line if one is not None]).reshape(-1, 2), {
         one: point for one, point in crosses.items() if point is not None

@@ -230,8 +230,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     said = [(run.controller.name, one) for run in runs for one in describe_run(run).statements if one.detail == "normal"]
     lines = text_lines(Document("", shared(each for each in said if few or each[1].state == "fails")))
     if not few:
-        linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if run.controller.linear is True}
-        margins = {name: law_margins(*one) for name, one in linear.items()}
+        margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
         lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []

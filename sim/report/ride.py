@@ -153,8 +153,7 @@ class OverRoads:
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
         """Simulates the controller, by default over the roads of all classes."""
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
-        # the settling time of a law in Python is unknown
-        start = min(settling_time(vehicle, controller), LONGEST) if controller.linear is True else LONGEST
+        start = min(settling_time(vehicle, controller), LONGEST)
         time = sample_times(vehicle, start + WINDOW, timestep)
         length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
         self.roads = [Iso8608(name, seed, SPEED, width, length) for name in self.classes for seed in SEEDS]
@@ -191,9 +190,7 @@ class OverRoads:
             runs = self._runs(road_class)
             through = np.isinf(self.ended[runs])
             some = {name: each[runs][through] for name, each in self.found.items()}
-            expected, spectrum = None, self.roads[runs.start].spectrum
-            if controller.linear is True:
-                expected = expect(ideal, controller, spectrum, self.timestep, WINDOW)
+            expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW)
             lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():

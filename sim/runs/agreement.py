@@ -144,8 +144,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         if foretold < until:
             ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
-    controller = prediction.controller if prediction.controller.linear is True else None
-    rounding, steps, commands = roundings(vehicle, controller), None, None
+    rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
     if commanded is not None:
         if (motion := motion_of(vehicle)) is not None:
             end = min(ended[FLAT.name], diverged)

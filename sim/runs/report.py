@@ -117,7 +117,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
         **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **code_object(run.prediction.code_effect),
-        **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear is True else {}),
+        **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
     }
 
@@ -319,8 +319,7 @@ def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
-        own = run.controller.linear is True and law_margins(vehicle, run.controller).own_force
-        how = ", by direct feedback of its own force" if own else ""
+        how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
         yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
     elif radius == 1:
         yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
@@ -455,8 +454,8 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
-    margins = law_margins(run.vehicle, controller) if controller.linear is True else None
-    warning = (margins.instability or margins.own_force or margins.small) if margins is not None else ""
+    margins = law_margins(run.vehicle, controller)
+    warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]

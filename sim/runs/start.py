@@ -46,7 +46,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
-        least = roundings(vehicle, run.controller if run.controller.linear is True else None)
+        least = roundings(vehicle, run.controller)
         if loop is not None:
             A, C = loop.closed_loop.A, loop.closed_loop.C
         state = np.pad(apart, (0, len(A) - len(apart)))

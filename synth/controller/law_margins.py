@@ -27,7 +27,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name, by_text, rough
 from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController, Controller
 from synth.controller.disk_margin import DiskMargin, disk_margin
 from synth.controller.loop_of import loop_of
 from synth.plant.state_space import StateSpace
@@ -107,8 +107,13 @@ class LawMargins:
         }
 
 
-def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
-    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop."""
+def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
+    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
+
+    Nothing is small of a law that is not linear, to which no margin applies.
+    """
+    if controller.linear is False:
+        return LawMargins(0.0, "", math.inf, 0.0, None)
     law = controller.law
     where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
     gain, gain_lower, disk, direct = math.inf, 0.0, None, 0.0

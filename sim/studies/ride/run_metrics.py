@@ -173,7 +173,7 @@ def measured_samples(
 
 def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
     """Returns the name and the settling time [s] of each controller; infinite for a law in Python, whose transient is unknown."""
-    return [(one.name, settling_time(car, one) if one.linear is True else math.inf) for car, one in driven]
+    return [(one.name, settling_time(car, one)) for car, one in driven]
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
@@ -230,7 +230,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     expected: Expected | None = None
     transient: Settled | None = None
     controller = run.controller
-    if (spectrum := road.spectrum) is not None and controller.linear is True:
+    if (spectrum := road.spectrum) is not None:
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
         line = expected.line.vehicle if expected else vehicle.linearised
         transient = settled(line, controller, spectrum, timestep, float(time[first]))
@@ -247,9 +247,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
         found, linear, usual, off = (of.get(metric.name) for of in (mujoco, sampled, mean, spread))
         approximate = expected is not None and (curved or metric.name.endswith(APPROXIMATE))
         metrics[metric.name] = MetricComparison(metric.unit, found, linear, usual, off, approximate)
-    static = None
-    if road.loaded:
-        static = static_angles(vehicle, controller, road, float(time[-1])) if controller.linear is True else {}
+    static = static_angles(vehicle, controller, road, float(time[-1])) if road.loaded else None
     return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
 
 
