@@ -62,7 +62,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, say_false_claims
     from sim.studies.frequency.describing_function import describing_function
     from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
-    from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
     given = remarked(read_vehicle(options.vehicle))
@@ -82,10 +81,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     driven = [one.name for one in controllers]
     how = options.amplitude, options.timestep, options.speed
     say_false_claims(controllers)
-    linear = [one for one in controllers if isinstance(one, Controller)]
+    linear = [one for one in controllers if one.linear is True]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)
-    own = [describing_function(vehicle, one, *how) for one in controllers if not isinstance(one, Controller)]
+    own = [describing_function(vehicle, one, *how) for one in controllers if not one.linear]
     stage("picture and logs")
     if options.picture is not None:
         from models.document.figure import styles

@@ -1,4 +1,4 @@
-"""Structure of a law with states: a given order, one law for each force, or PI and PID; and a PID law of given numbers.
+"""Design that a section requests, structure of a law with states (order, law for each force, PI, PID), PID law of given numbers.
 
 order = 2
 structure = "corner"
@@ -18,8 +18,9 @@ import numpy as np
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
 from models.common.printed import entry
-from models.common.schema import HERE, SI, ReadBy, Section, Subsection
+from models.common.schema import HERE, SI, Flag, ReadBy, Section, Subsection, keys
 from models.laws.goals import PATTERNS, PI, PID, Goals, corner_rows
+from models.laws.law import LawSource
 from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
@@ -59,6 +60,53 @@ class LawStructure:
     def states(self, forces: int) -> int:
         """Returns how many states a law for so many forces has at most, without those of PI and PID."""
         return self.order * (forces if self.rows is not None else 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Demands(Section):
+    """Keys of a controller's section that are the same in its `DesignRequest`."""
+
+    stable: Annotated[bool, Flag("the law of full order is stable by itself")] = False
+    fastest_pole: Annotated[float, SI("rad/s", "largest magnitude of the poles of the loop", high=1e9)] | None = None
+    anti_windup: Annotated[float, SI("1/s", "rate of the anti-windup of the law's states", high=1e6)] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesignRequest(Demands, LawSource):
+    """Design of a linear law, by default in the paper's two steps.
+
+    Attributes:
+        design: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for a `structure` and for two steps.
+        structure: structure of the law; None for no restriction, or for a static gain.
+        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
+        sampled: True if it is for the sampled loop.
+    """
+
+    given_as = "the design that a controller's section requests"
+    given = None
+
+    design: str = ""
+    structure: LawStructure | None = None
+    preview: float = 0.0
+    sampled: bool = False
+
+    @property
+    def request(self) -> "DesignRequest":
+        """See `LawSource`."""
+        return self
+
+    @property
+    def two_steps(self) -> bool:
+        """True for a static gain, designed in two steps."""
+        return not self.design and self.structure is None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """See `LawSource`."""
+        given = {key: value for key in (*keys(Demands), "sampled") if (value := getattr(self, key))}
+        if self.structure is not None:
+            return self.structure.record | given
+        return ({"order" if self.design == FULL else "design": self.design} if self.design else {}) | given
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:

@@ -1,5 +1,6 @@
 """Linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is a law without states."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,9 +12,11 @@ from models.common.arrays import Array, real_matrix
 from models.common.checks import Positive, PositiveTime, check
 from models.common.errors import InputError
 from models.common.printed import entry, rough
+from models.laws.law import LawSource
 
 FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 MATRICES = ("A", "B", "C", "D")
+ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # key of one number of a law
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # of `models.laws.preview`
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
 LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
@@ -22,7 +25,7 @@ SINGULAR = 1e-12  # smallest relative singular value of a loop through the measu
 
 
 @dataclass(frozen=True, eq=False)
-class LinearLaw:
+class LinearLaw(LawSource):
     """Linear law with k states, from q measurements to m forces.
 
     Attributes:
@@ -37,6 +40,8 @@ class LinearLaw:
         InputError: a matrix has entries that are not real and finite or beyond `LARGEST`, or the wrong shape, or there are too
             many states; the message names it.
     """
+
+    request = None
 
     A: Array
     B: Array
@@ -76,6 +81,28 @@ class LinearLaw:
         numbers = {"sample_period": self.sample_period, "anti_windup": self.anti_windup}
         given = {name: number for name, number in numbers.items() if number is not None}
         return {name: getattr(self, name).tolist() for name in MATRICES} | given
+
+    @property
+    def given(self) -> "LinearLaw":
+        """See `LawSource`."""
+        return self
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """See `LawSource`."""
+        matrices = {name: value for name, value in self.record.items() if isinstance(value, list)}
+        rate: dict[str, float | None] = {"anti_windup": self.anti_windup} if self.anti_windup is not None else {}
+        return rate | {f"{name}[{i}][{j}]": value for name, one in matrices.items() for (i, j), value in np.ndenumerate(one)}
+
+    def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
+        """See `LawSource`."""
+        record: dict[str, Any] = {"measured": list(measured), **self.record}
+        for key, value in values.items():
+            if match := ENTRY.fullmatch(key):
+                record[match[1]][int(match[2])][int(match[3])] = value
+            else:
+                record[key] = value
+        return record
 
     @property
     def matrix(self) -> Array:

@@ -6,20 +6,21 @@ log, result or text of a vehicle file can give another one.
 
 import hashlib
 import inspect
+import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 from xml.etree import ElementTree
 
 from models.common.checks import AT_LEAST_ONE, check
-from models.common.errors import InputError, alike, listing, quoted
+from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.files import origin, read_bytes, read_text
 from models.common.schema import HERE, SI, TEXT, ReadBy, Section
-from models.laws.law import ControlLaw
+from models.laws.law import ControlLaw, Design, LawSource
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
@@ -30,7 +31,7 @@ TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotati
 
 
 @dataclass(frozen=True)
-class PythonLaw:
+class PythonLaw(LawSource):
     """Law in Python, or FMU that such a law steps, as a vehicle file names it.
 
     Attributes:
@@ -39,6 +40,9 @@ class PythonLaw:
         folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
         inputs, outputs: signals by the names that an FMU has for them; names of signals themselves need no entry.
     """
+
+    linear = False
+    given = request = None
 
     law: str
     preview: float | None = None
@@ -67,6 +71,11 @@ class PythonLaw:
         return f"{'an' if self.is_fmu else 'a'} {self.kind}"
 
     @property
+    def title(self) -> str:
+        """See `LawSource`."""
+        return f"{self.with_article}, {self.law}"
+
+    @property
     def function(self) -> str:
         """Name of the function."""
         return "step" if self.is_fmu else self.law.rpartition(":")[2]
@@ -82,6 +91,22 @@ class PythonLaw:
     def path(self) -> Path | None:
         """Path of the law's file; None for a vehicle file from text."""
         return None if self.folder is None else self.folder / self.file
+
+    def record_from(self, folder: Path) -> dict[str, Any]:
+        """See `LawSource`."""
+        if self.path is None:
+            return {}
+        place = os.path.relpath(os.path.realpath(self.path), os.path.realpath(folder))
+        if place.startswith(os.pardir):
+            raise InputError(f"the law {self.law} would be outside of the folder {folder}")
+        return {"fmu": Path(place).as_posix()} if self.is_fmu else {"law": f"{Path(place).as_posix()}:{self.function}"}
+
+    def driver(
+        self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
+    ) -> "Programmed":
+        """See `LawSource`."""
+        with error_in(f"controller {name!r}:"):
+            return Programmed(name, measured, self, (read or self.source)())
 
     def source(self) -> str:
         """Reads the text of the law's file without running it. For an FMU, it is the text that steps it, with its checksum.
@@ -113,6 +138,9 @@ class Programmed(ControlLaw):
         source: text of the law's file, or of the function, as far as Python knows it.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
+
+    linear: ClassVar[Literal[False]] = False
+    user_code: ClassVar[Literal[True]] = True
 
     name: str
     measured: tuple[str, ...]

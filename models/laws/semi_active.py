@@ -11,14 +11,14 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.schema import SI, Choice, Section, keys
-from models.laws.law import ControlLaw
+from models.laws.law import ControlLaw, Design, LawSource
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -150,7 +150,7 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 
 @dataclass(frozen=True)
-class SemiActiveLaw:
+class SemiActiveLaw(LawSource):
     """Shipped law, as a vehicle file names it.
 
     Attributes:
@@ -159,6 +159,9 @@ class SemiActiveLaw:
         endings: suffixes of the names at the suspensions, in the order of the forces.
         modes: modes of the body that the law measures; empty for laws that work corner by corner.
     """
+
+    linear, title = False, "a semi-active law"
+    given = request = None
 
     name: str
     numbers: tuple[tuple[str, float], ...] = ()
@@ -174,6 +177,21 @@ class SemiActiveLaw:
     def record(self) -> dict[str, Any]:
         """The law as JSON and TOML hold it."""
         return {"semi_active": self.name, **dict(self.numbers)}
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """See `LawSource`."""
+        return {key: dict(self.numbers).get(key) for key in LAWS[self.name][2]}
+
+    def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
+        """See `LawSource`."""
+        return {**self.record, **values}
+
+    def driver(
+        self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
+    ) -> "SemiActive":
+        """See `LawSource`."""
+        return SemiActive(name, self)
 
     @property
     def text(self) -> str:
@@ -202,6 +220,9 @@ class SemiActive(ControlLaw):
         law: the law.
         code: the exported code that computes its outputs in runs; None if its own law does.
     """
+
+    linear: ClassVar[Literal[False]] = False
+    user_code: ClassVar[Literal[False]] = False
 
     name: str
     law: SemiActiveLaw

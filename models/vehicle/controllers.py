@@ -1,8 +1,8 @@
 """`[controllers]` of a vehicle file: the measured signals of each, and its law or its method of design."""
 
 import unicodedata
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from models.common.checks import is_finite
 from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.printed import size
-from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, ReadBy, Section, Text, keys, read
+from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, ReadBy, Text, keys, read
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD
@@ -19,7 +19,8 @@ from models.laws.combinations import PATTERNS, check_together, goes, section_par
 from models.laws.design_methods import DESIGNS, OF_STATE, PREVIEW
 from models.laws.filter import Filter
 from models.laws.goals import Goals
-from models.laws.law_structure import FULL, LawStructure, StructureSection
+from models.laws.law import Design, T, no_design
+from models.laws.law_structure import FULL, Demands, DesignRequest, StructureSection
 from models.laws.linear import MATRICES, LinearLaw, static_law
 from models.laws.python_law import Programmed, ProgramSection, PythonLaw
 from models.laws.semi_active import SemiActive, SemiActiveLaw, SemiActiveSection
@@ -58,35 +59,22 @@ class DesignConditions:
 NOMINAL = DesignConditions()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Demands(Section):
-    """Keys of a controller's section that are the same in its entry."""
-
-    study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
-    stable: Annotated[bool, Flag("the law of full order is stable by itself")] = False
-    fastest_pole: Annotated[float, SI("rad/s", "largest magnitude of the poles of the loop", high=1e9)] | None = None
-    anti_windup: Annotated[float, SI("1/s", "rate of the anti-windup of the law's states", high=1e6)] | None = None
+Source = LinearLaw | DesignRequest | PythonLaw | SemiActiveLaw
 
 
 @dataclass(frozen=True, eq=False)
-class ControllerEntry(Demands):
+class ControllerEntry:
     """Controller of a vehicle file, made from `ControllerSection`.
 
     Attributes:
         name: name of the controller.
         measured: signals it measures, q of them.
-        law: law from the q measurements to the m forces if the file contains its numbers; None if the law is to be designed.
-        certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
-        design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
-            `DESIGNS`; empty for the paper's two steps.
-        python: the law in Python that the file names instead, without any claim; None for all others.
+        source: a `LinearLaw`, a `DesignRequest`, a `PythonLaw` or a `SemiActiveLaw`.
+        certificate: certificate of a given law, as `python -m synth --save` wrote it; None without one.
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
-        sampled: True if it is designed for the sampled loop.
-        goals: goals of its design; None for the least norm.
-        semi_active: semi-active law for dampers, without any linear claim; None for all other controllers.
-        structure: structure of the law that is designed; None for no restriction, or for a static gain.
+        goals: goals that a gain is designed for or judged by; None for the least norm.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
-        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
+        study: True for a study: the law measures heights above a flat datum.
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
@@ -94,17 +82,12 @@ class ControllerEntry(Demands):
 
     name: str
     measured: tuple[str, ...]
-    law: LinearLaw | None = None
+    source: Source = field(default_factory=DesignRequest)
     certificate: Mapping[str, Any] | None = None
-    design: str = ""
-    python: PythonLaw | None = None
     hardware: DesignConditions = NOMINAL
-    sampled: bool = False
     goals: Goals | None = None
-    semi_active: SemiActiveLaw | None = None
-    structure: LawStructure | None = None
     errors: WeightedErrors | None = None
-    preview: float = 0.0
+    study: bool = False
     forced: bool = False
 
     @property
@@ -115,32 +98,30 @@ class ControllerEntry(Demands):
     @property
     def linear(self) -> bool:
         """True if linear analysis applies."""
-        return self.python is None and self.semi_active is None
+        return self.source.linear
+
+    @property
+    def law(self) -> LinearLaw | None:
+        """The linear law whose numbers the file contains; None for all other sources."""
+        return self.source.given
+
+    @property
+    def request(self) -> DesignRequest:
+        """The design that it requests; the default request for a law that is not designed."""
+        return self.source.request or DesignRequest()
 
     @property
     def parts(self) -> dict[str, str]:
-        """Its law or design, and its options, each as in a vehicle file: rows of the table of compatible options."""
-        records = (self.law, self.python, self.semi_active, self.structure, self.hardware, self.goals)
-        given = {key: value for one in records if one is not None for key, value in one.record.items()}
-        given |= {key: value for key in keys(Demands) if (value := getattr(self, key))} | {"sampled": self.sampled}
-        if self.structure is None and self.design:
-            given["order" if self.design == FULL else "design"] = self.design
+        """Its source and its options, each as in a vehicle file: rows of the table of compatible options."""
+        given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
             given["tolerance"] = given.get("tolerance", {}) | self.errors.record
-        parts = section_parts(given, ())
+        parts = section_parts(given | {"study": self.study}, ())
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
-    def driver(self) -> Programmed | SemiActive:
-        """Returns the controller of a law in Python, whose file is read and not run, or of a semi-active law.
-
-        Raises:
-            InputError: the file cannot be read.
-        """
-        if self.semi_active is not None:
-            return SemiActive(self.name, self.semi_active)
-        assert self.python is not None, "any other law is linear"
-        with error_in(f"controller {self.name!r}:"):
-            return Programmed(self.name, self.measured, self.python, self.python.source())
+    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
+        """Returns the controller; arguments and errors are those of `LawSource.driver`."""
+        return self.source.driver(self.name, self.measured, design, read)
 
 
 def _measured(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
@@ -200,6 +181,7 @@ ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}
 class SignalSection(Demands):
     """The measured signals, which other keys of a controller's section refer to."""
 
+    study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
     measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured, allowed=NAMES)] = ()
 
 
@@ -296,13 +278,15 @@ def read_controllers(
         with error_in(where):
             if with_samples and implementation.sample_period is None:
                 raise InputError(NO_PERIOD)
-            entry = _entry(name, asked, given, model, limits, implementation, facts["corners"], folder, dampers or {})
+            entry = _entry(
+                name, asked, given, model, limits, implementation, facts["corners"], folder, dampers or {}, with_samples
+            )
             goals = asked.goals if "goals" in parts else None
-        if goals is not None and entry.structure is not None:
+        if goals is not None and entry.request.structure is not None:
             goals = replace(goals, structure=None)
         weights = {name: one for name, one in asked.tolerance.items() if isinstance(one, Filter)}
         errors = WeightedErrors(weights) if weights else None
-        controllers[name] = replace(entry, goals=goals, sampled=with_samples, errors=errors)
+        controllers[name] = replace(entry, goals=goals, errors=errors)
     return controllers
 
 
@@ -316,13 +300,14 @@ def _entry(
     corners: Mapping[str, str],
     folder: Path | None,
     dampers: Mapping[str, str],
+    sampled: bool,
 ) -> ControllerEntry:
     """Returns the entry of a section, without what depends on other entries of the file: see `read_controllers`."""
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)
     semi_active = asked.semi_active_law([key for key in given if key != "actuators"], model.outputs, model.inputs, dampers)
     if semi_active is not None:
-        return ControllerEntry(name, semi_active.measured, semi_active=semi_active, forced=forced)
+        return ControllerEntry(name, semi_active.measured, semi_active, forced=forced)
     of_state, python, measurable = asked.design in OF_STATE, asked.program(folder), listing(model.measurable)
     measured = asked.measured or (model.states if of_state else ())
     if not measured:
@@ -340,10 +325,14 @@ def _entry(
             f'design = "{PREVIEW}" acts before the road does, but semi-active dampers only resist motion; choose another design, '
             "or omit [actuators]"
         )
-    structure, law = asked.law_structure(measured, corners), _law(asked, measured, corners)
-    design = FULL if asked.order == FULL else asked.design or ""
-    design = design if structure is None else "pid" if structure.kind else "order"
-    takes_out = "" if structure is not None and structure.rows is not None else design  # others read forces as all else
+    request = DesignRequest(
+        design=FULL if asked.order == FULL else asked.design or "",
+        structure=asked.law_structure(measured, corners),
+        preview=asked.preview or 0.0 if asked.design == PREVIEW else 0.0,
+        sampled=sampled,
+        **{key: getattr(asked, key) for key in keys(Demands)},
+    )
+    law = _law(asked, measured, corners)
     if asked.anti_windup is not None and law is not None:
         if not law.states:
             raise InputError("has anti_windup, but its law has no states that can wind up; omit anti_windup")
@@ -356,22 +345,18 @@ def _entry(
     return ControllerEntry(
         name,
         measured,
-        law,
+        law or python or request,
         asked.certificate,
-        design,
-        python,
-        _hardware(asked, measured, takes_out, model.inputs, limits, implementation),
-        structure=structure,
-        preview=asked.preview or 0.0 if asked.design == PREVIEW else 0.0,
+        _hardware(asked, measured, request, model.inputs, limits, implementation),
+        study=asked.study,
         forced=forced,
-        **{one.name: getattr(asked, one.name) for one in fields(Demands)},
     )
 
 
 def _hardware(
     asked: ControllerSection,
     measured: Sequence[str],
-    design: str,
+    request: DesignRequest,
     inputs: Sequence[str],
     limits: Limits,
     implementation: Implementation,
@@ -384,7 +369,9 @@ def _hardware(
             f"as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
-    if forces and design and not asked.lag:
+    # laws by force read forces as all else
+    by_force = request.structure is not None and request.structure.rows is not None
+    if forces and not (asked.lag or by_force or request.two_steps):
         raise InputError(
             f"has noise = true, but [implementation] has noise on {forces[0]!r}, and a design cannot account for noise on a "
             f"measured force; omit the noise on {forces[0]!r}"

@@ -7,7 +7,6 @@ A TOML file of a family has the key `family` of a section. A CSV file has a vehi
 its numbers are factors on them.
 """
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from models.common.files import origin, parse_toml, path_from, reading
 from models.common.table import find_table
 from models.common.toml_edit import Replacement, with_replacements
 from models.common.units import in_unit
-from models.laws.python_law import PythonLaw
+from models.laws.law import LawSource
 from models.vehicle.law_file import MATRICES, SAVE, read_law
 
 KEY = "family"
@@ -55,24 +54,21 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
     return text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
 
 
-def text_in(folder: Path, text: str, laws: Mapping[str, PythonLaw]) -> str:
+def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
     """Returns a vehicle file's text for another folder, with the paths of its laws in Python and FMUs relative to it.
 
     Args:
         folder: the new folder.
-        laws: the laws that have files, by controller.
+        laws: the sources of the laws, by controller.
 
     Raises:
         InputError: a law's file is not in the new folder or below, where alone a vehicle file can name it.
     """
     replacements = []
     for name, law in laws.items():
-        place = os.path.relpath(os.path.realpath(law.path or law.file), os.path.realpath(folder))
-        if place.startswith(os.pardir):
-            raise InputError(f"the law {law.law} would be outside of the folder {folder}")
-        key, named = ("fmu", Path(place).as_posix()) if law.is_fmu else ("law", f"{Path(place).as_posix()}:{law.function}")
-        if named != Path(law.law).as_posix():
-            replacements.append(Replacement(("controllers", name, key), {key: named}))
+        for key, named in law.record_from(folder).items():
+            if named != Path(law.record[key]).as_posix():
+                replacements.append(Replacement(("controllers", name, key), {key: named}))
     return with_replacements(text, replacements)
 
 

@@ -24,17 +24,18 @@ def check_integrals(
     """
     if not entry.linear:
         return
-    structure, noisy = entry.structure, dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
-    if entry.design == "lqg":
+    request, structure = entry.request, entry.request.structure
+    noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))
+    if request.design == "lqg":
         noisy |= {name: rms for name, rms in heard.items() if name in entry.measured}
     # Only a law that measures the whole integrated signal integrates the noise on this signal.
     integrated = [name for terms in integrals.values() if {*terms} <= {*entry.measured} for name in terms if noisy.get(name)]
     refused = {
-        f"{SAMPLED}; omit sampled": sampled or entry.sampled,
+        f"{SAMPLED}; omit sampled": sampled or request.sampled,
         "the law measures heights above a flat datum, which cannot return the integral to zero": entry.study,
         "goals are for static gains, which contain no integral; give a design or an order instead": entry.goals is not None,
         "tolerance has an error that depends on frequency; give this error as a number, or omit the pole at 0": entry.errors,
-        "the law then has an integrator, so the law alone is not stable; omit stable": entry.stable,
+        "the law then has an integrator, so the law alone is not stable; omit stable": request.stable,
         "a law with a structure has no state for it; give order = 2 without structure, or a design": (
             structure is not None and (structure.kind or structure.rows is not None)
         ),

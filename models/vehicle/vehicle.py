@@ -2,7 +2,7 @@
 
 import importlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,9 @@ from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import names_of, of_dampers
+from models.laws.law import Design, T
+from models.laws.python_law import Programmed
+from models.laws.semi_active import SemiActive
 from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
@@ -457,7 +460,7 @@ class Vehicle(Shown):
     def files(self) -> tuple[Path, ...]:
         """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
-        laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
+        laws = (*self.named_files, *(entry.source.path for entry in entries if entry.source.path))
         roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)
         return (*own, *laws, *roads, self.kind.mjcf, self.kind.mjcf.with_suffix(".py"))
 
@@ -480,7 +483,7 @@ class Vehicle(Shown):
         """
         from models.vehicle.in_place import text_in
 
-        laws = {name: entry.python for name, entry in self.controllers.items() if entry.python and entry.python.path}
+        laws = {name: entry.source for name, entry in self.controllers.items()}
         folder = Path(self.source).parent if path == STDOUT else path.parent
         try:
             text = text_in(folder, self.text, laws)
@@ -533,13 +536,17 @@ class Vehicle(Shown):
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
+    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
+        """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
+        return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
+
     def located(self, error: InputError) -> InputError:
         """Returns the error with the vehicle file's name in front."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:
         """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
-        check_period(entry.name, entry.law.sample_period if entry.law is not None else None, self.implementation)
+        check_period(entry.name, entry.source.sample_period, self.implementation)
         if (self.filters or self.sums) and self.integrals:
             from models.vehicle.integrals import check_integrals
 
@@ -563,10 +570,9 @@ class Vehicle(Shown):
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
         entry = self.controllers[name]
         if not entry.linear:
-            what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is {what}, which has no linear loop; give another controller, or drive this one "
-                "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
+                f"controller {name!r} is {entry.source.title}, which has no linear loop; give another controller, or drive "
+                "this one with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
 

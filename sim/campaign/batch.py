@@ -27,7 +27,7 @@ from sim.runs.steps import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.state_space import StateSpace
 
@@ -49,11 +49,11 @@ class ReferenceResponse:
             effects = {HELD: "held", SIGNAL: "in_signals", READ: "in_readings"}
             for ending, values in effects.items():
                 groups.append((np.stack([getattr(one, values) for one in watched.inputs], axis=1), named(held, ending)))
-        if any(getattr(run.controller, "preview", None) for run in runs):
+        if any(run.controller.preview is not None for run in runs):
             ahead = np.zeros((len(watched.now), len(runs), len(vehicle.linear_model.inputs)))
             for i, (run, on) in enumerate(zip(runs, watched.inputs, strict=True)):
-                if isinstance(run.controller, Controller) and run.controller.preview is not None:
-                    ahead[:, i] = forces_ahead(run.controller.preview, on, steps_per_sample(on.vehicle.implementation, timestep))
+                if (preview := run.controller.preview) is not None:
+                    ahead[:, i] = forces_ahead(preview, on, steps_per_sample(on.vehicle.implementation, timestep))
             groups.append((ahead, vehicle.linear_model.inputs))
         made = {run.system: _closed(run.vehicle, run.controller, timestep) for run in runs}
         systems = [made[run.system].part(self.outputs, made[run.system].inputs) for run in runs]
@@ -110,14 +110,14 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     without curves or active forces through adjustable dampers.
     """
     vehicle = runs[0].vehicle
-    linear = all(isinstance(run.controller, Controller) and is_linear(run.vehicle, run.controller) for run in runs)
-    silent = not any(isinstance(run.controller, Controller) and run.controller.law.acts for run in runs)
+    linear = all(run.controller.linear is True and is_linear(run.vehicle, run.controller) for run in runs)
+    silent = not any(run.controller.acts for run in runs)
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.parts.nonlinear
 
 
 def _closed(vehicle: Vehicle, controller: AnyController, timestep: float) -> StateSpace:
     """Returns the closed loop from step to step, of a law that acts at once or not at all."""
-    assert isinstance(controller, Controller), "it is linear"
+    assert controller.linear is True, "it is linear"
     return loop_of(replace(vehicle, implementation=Implementation()), controller, timestep).closed_loop
 
 
@@ -237,7 +237,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
 def _expected(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
     """Returns the columns of a row for expected metrics over a random road, and the remaining transient when measuring begins."""
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
-    if spectrum is None or not isinstance(controller, Controller):
+    if spectrum is None:
         return {}
     window = (len(campaign.time) - campaign.first) * campaign.timestep
     values: dict[str, Any] = {}

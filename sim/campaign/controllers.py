@@ -10,6 +10,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import read_text
+from models.laws.law import no_design
 from models.laws.linear import law_of
 from models.laws.preview import preview_of
 from models.laws.python_law import sha256
@@ -19,7 +20,7 @@ from sim.campaign.manifest import ELSEWHERE, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.samples import Values
 from sim.command.comparison import controllers_of, say_false_claims
-from synth.controller.controller import AnyController
+from synth.controller.controller import AnyController, Controller
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 
@@ -66,11 +67,12 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
 def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
     """Returns a controller from its entry of the gains, driven by its exported code, made again, if the campaign began so."""
     vehicle, linear = designer.vehicle, name in designer.vehicle.linear_names
-    if linear:
+
+    def certified(name: str) -> Controller:
         law = designer.certify(name, entry["measured"], law_of(entry), vehicle.hardware(name))
-        driver: AnyController = replace(law, preview=preview_of(entry)) if "preview" in entry else law
-    else:
-        driver = vehicle.controllers[name].driver()
+        return replace(law, preview=preview_of(entry)) if "preview" in entry else law
+
+    driver = vehicle.driver(name, certified)
     if "code" in entry:
         from synth.controller.export.compiled import code_again
 
@@ -84,7 +86,8 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyCon
 def _drawn(designer: Designer, name: str, values: Values) -> AnyController:
     """Returns a controller with drawn values of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
-    return entry.driver() if entry.law is None else designer.certify(name, entry.measured, entry.law, entry.hardware)
+    law = entry.law
+    return entry.driver(no_design if law is None else lambda name: designer.certify(name, entry.measured, law, entry.hardware))
 
 
 def check_code(gains: Gains, exported: Path) -> None:

@@ -16,7 +16,7 @@ from models.common.printed import as_name, percent
 from models.document.document import Block, Document, Table, notes
 from models.document.field import Field
 from models.document.figure import OTHERS, Curve, Figure, Panel, styles
-from models.laws.python_law import Programmed, PythonLaw
+from models.laws.python_law import PythonLaw
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.batch import FAILED
@@ -38,8 +38,7 @@ from sim.studies.ride.standing import (
     standing_lines,
     standing_over_runs,
 )
-from synth.controller.controller import Controller
-from synth.controller.law_margins import unstable_by_itself
+from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
 
@@ -59,7 +58,7 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
         standings[name] = {}
         for candidate, runs in sorted(plan.candidates(name).items(), key=lambda item: item[0].controller != PASSIVE):
             one = standing_over_runs(vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()})
-            standings[name][candidate] = replace(one, sound=not unstable_by_itself(plan.driver(name, candidate)))
+            standings[name][candidate] = replace(one, sound=plan.driver(name, candidate).growth == 0)
     return standings
 
 
@@ -114,8 +113,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
         entry: dict[str, Any] = {"vehicle": block.vehicle, "controller": block.controller, "road": block.road.text}
         entry |= {"speed": block.speed, "runs": block.stop - block.start, "left": int(ended[runs].sum())}
         entry |= {"broke_off": len(broke), "first_reason": next(iter(broke), None)}
-        if isinstance(law := plan.controllers[block.vehicle][block.controller], Programmed):
-            entry |= {"law": law.law.law, "failed": len(failures), "first_failure": next(iter(failures), None)}
+        if (controller := plan.controllers[block.vehicle][block.controller]).user_code is True:
+            entry |= {"law": controller.law.law, "failed": len(failures), "first_failure": next(iter(failures), None)}
         of_vehicle = lines[block.vehicle].items()
         entry |= {line: _statistics(columns, some, np.arange(block.start, block.stop)) for line, some in of_vehicle}
         if block.variants:
@@ -337,7 +336,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     spectrum = choice.build(vehicle, speed, campaign.seeds[0], speed * campaign.duration).spectrum
     assert spectrum is not None, "the road is random"
 
-    def expected(car: Vehicle, controller: Controller) -> list[float] | None:
+    def expected(car: Vehicle, controller: AnyController) -> list[float] | None:
         found = expect(car.with_ideal_actuators, controller, spectrum, campaign.timestep, campaign.duration - campaign.settle)
         return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
 
@@ -351,7 +350,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
     crosses = {
         one: expected(vehicle, controller)
         for one, controller in plan.controllers[name].items()
-        if isinstance(controller, Controller) and controller.law.acts and one not in campaign.variants[name]
+        if controller.acts and one not in campaign.variants[name]
     }
     return np.array([one for one in line if one is not None]).reshape(-1, 2), {
         one: point for one, point in crosses.items() if point is not None

@@ -22,7 +22,7 @@ from sim.response.response import Response
 from sim.runs.report import FEW, describe_run, shared
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
-from synth.controller.law_margins import direct_feedback, law_margins, unstable_by_itself, warnings
+from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.loop_of import loop_of
 from synth.controller.report import study_notes
 
@@ -48,7 +48,7 @@ def controllers_of(
     for name in names:
         show(f"controller {name}")
         try:
-            drivers.append(design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver())
+            drivers.append(vehicle.driver(name, design))
         except InputError as error:
             if name not in vehicle.linear_names or len(names) == 1:
                 raise
@@ -89,13 +89,12 @@ def say_false_claims(controllers: Iterable[AnyController]) -> None:
     Such a controller is driven all the same.
     """
     for one in controllers:
-        if isinstance(one, Controller) and one.false_claims:
+        if one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}); "
                 "the gain is used all the same; python -m synth --check explains this"
             )
-        if isinstance(one, Controller) and one.unmet_specifications:
-            missed = [promise.text for promise in one.specifications if not promise.holds]
+        if missed := [promise.text for promise in one.specifications if not promise.holds]:
             complain(
                 f"controller {one.name!r} does not meet its goals in the vehicle file ({_first(missed)}); it is "
                 "used all the same; python -m synth explains this"
@@ -231,8 +230,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     said = [(run.controller.name, one) for run in runs for one in describe_run(run).statements if one.detail == "normal"]
     lines = text_lines(Document("", shared(each for each in said if few or each[1].state == "fails")))
     if not few:
-        linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
-        margins = {name: law_margins(*one) for name, one in linear.items()}
+        margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
         lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
@@ -278,4 +276,4 @@ def standings_of(
         one = standing(vehicle, name, values)
         strokes = {} if one.values[TRAVEL.key] is None else strokes_used(runs[0].vehicle, response, first, end)
         standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
-    return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
+    return without_unsound(standings, [run.controller.name for run in runs if run.controller.growth])

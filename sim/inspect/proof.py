@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import InputError
-from models.laws.python_law import Programmed
 from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
@@ -116,12 +115,12 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
     there, here = vars(vehicle.implementation), vars(own.implementation)
     if other := ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key]):
         findings.append(Finding("implementation", NOTE, f"the run differs from vehicle.toml in: {other}"))
-    if isinstance(controller, Controller):
+    if controller.linear is True:
         findings += _findings("certificate", _check_certificate(own, controller, recorded, log.timestep))
         if (entry := vehicle.controllers.get(controller.name)) is not None and entry.goals is not None:
             findings.append(Finding("goals", NOTE, GOALS.format(goals=", ".join(entry.goals.record))))
     else:
-        replayed = f"; {NOT_RUN}" if isinstance(controller, Programmed) else ""
+        replayed = f"; {NOT_RUN}" if controller.user_code else ""
         findings.append(Finding("certificate", NOTE, f"{claims(controller)}{replayed}"))
     try:
         again, physics = replay(log, recorded, own, controller)

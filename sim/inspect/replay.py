@@ -12,10 +12,9 @@ import numpy as np
 
 from models.common.errors import InputError, listing
 from models.kinds.signals import Signal, kept_signals
+from models.laws.law_structure import DesignRequest
 from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.roads.description import described_road
 from models.roads.road import RoadInput
 from models.vehicle.controllers import RESERVED, ControllerEntry
@@ -87,23 +86,24 @@ def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController
     if name not in vehicle.controller_names:
         raise InputError(f"vehicle.toml has no controller {name!r}; it has {listing(vehicle.controller_names)}")
     entry = vehicle.controllers.get(name)
-    if entry is not None and entry.python is not None:
-        source = log.attachments[run.claims["law_file"]].decode("utf-8", errors="replace")
-        return Programmed(name, entry.measured, entry.python, source)
-    if entry is not None and entry.semi_active is not None:
-        return SemiActive(name, entry.semi_active)
-    signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
-    given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
-    law = given or law_of({key: run.claim(key) for key in LAW if key in run.claims})
-    preview = preview_of({"preview": run.claim("preview")}) if entry is not None and entry.preview else None
-    if entry is not None and law.states:
-        law = replace(law, anti_windup=entry.anti_windup)
-    if entry is not None and preview is not None and preview.seconds != entry.preview:
-        raise InputError(f"the logged preview is {preview.seconds} s, but the preview in vehicle.toml is {entry.preview} s")
-    hardware = vehicle.hardware(name)
-    recorded = ControllerEntry(name, tuple(signals), law, run.claim("certificate"), hardware=hardware)
-    certificate, _ = verify_record(problem(vehicle, signals, hardware), recorded)
-    return Controller(name, tuple(signals), law, given is None, certificate, hardware=hardware, preview=preview)
+
+    def linear(name: str) -> Controller:
+        """Returns the controller of a linear law, which is the file's or that of a design in the log."""
+        request = DesignRequest() if entry is None else entry.request
+        signals = entry.measured if entry is not None else vehicle.linear_model.states if name == "state" else ()
+        given = static_law(np.zeros((len(vehicle.linear_model.inputs), 0))) if name == "passive" else entry.law if entry else None
+        law = given or law_of({key: run.claim(key) for key in LAW if key in run.claims})
+        preview = preview_of({"preview": run.claim("preview")}) if request.preview else None
+        if given is None and law.states:
+            law = replace(law, anti_windup=request.anti_windup)
+        if preview is not None and preview.seconds != request.preview:
+            raise InputError(f"the logged preview is {preview.seconds} s, but the preview in vehicle.toml is {request.preview} s")
+        hardware = vehicle.hardware(name)
+        recorded = ControllerEntry(name, tuple(signals), law, run.claim("certificate"), hardware)
+        certificate, _ = verify_record(problem(vehicle, signals, hardware), recorded)
+        return Controller(name, tuple(signals), law, given is None, certificate, hardware=hardware, preview=preview)
+
+    return vehicle.driver(name, linear, lambda: log.attachments[run.claims["law_file"]].decode("utf-8", errors="replace"))
 
 
 def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyController) -> tuple[Run, Response]:
@@ -126,7 +126,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
     road = RoadInput(vehicle, described_road(run.claim("road"), points), time, "signals" not in log.metadata)
     driver: RunDriver = controller
-    if isinstance(controller, Programmed):
+    if controller.user_code:
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
     made = simulate([driver], [road])

@@ -16,7 +16,6 @@ from sim.inspect.replay import as_response, kept
 from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.runs.report import controller_object, run_object, verdict
 from sim.runs.signal_table import run_columns, write_columns
-from synth.controller.controller import Controller
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
@@ -67,8 +66,8 @@ def _describe_run(one: Inspected) -> Document:
         title += f": {verdict(run).text}"
         about.append(f"{len(time)} samples to {time[-1]:g} s at {run.prediction.timestep:g} s; {run.road.words}")
         about.append(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}: {controller.text}")
-        if isinstance(controller, Controller) and controller.preview is not None:
-            about.append(f"{controller.name} also uses the road {controller.ahead:g} s ahead")
+        if controller.preview is not None:
+            about.append(f"{controller.name} also uses the road {controller.preview.seconds:g} s ahead")
     return Document(title, (*notes(*about, detail="full"), *_statements(one.findings)))
 
 

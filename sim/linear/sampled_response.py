@@ -48,7 +48,7 @@ from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, 
 from models.vehicle.vehicle import Vehicle
 from sim.linear.outputs import forces_ahead, response_by_name, with_linear_sides
 from sim.response.response import Response
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.loop import Loop, respond
 from synth.plant.state_space import StateSpace
@@ -63,8 +63,8 @@ WHOLE = 1e-9  # relative: a preview this near to an integer of steps is one
 RATES = 400  # number of frequencies at which a law's gain is evaluated
 
 
-def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, float]:
-    """Bounds the effect of rounding on every output signal [the signal's unit]; without a controller, under given forces."""
+def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, float]:
+    """Bounds the effect of rounding on every output signal [the signal's unit]; without a linear one, under given forces."""
     model = vehicle.linear_model
     rate, shaken = _shaken(vehicle)
     pushed = np.zeros(len(model.inputs))
@@ -75,7 +75,7 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
             one.steepest_slope for one in vehicle.parts.adjustable
         ]
         pushed *= np.abs(stretching(vehicle)) @ shaken
-    if controller is None:
+    if controller is None or controller.linear is False:
         return dict(zip(model.outputs, (np.abs(model.C) @ shaken + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
     if controller.law.states:  # its forces may far exceed those of a static gain, and move the states

@@ -23,7 +23,7 @@ from sim.physics.driver import (
     RunDriver,
     SemiActiveDriver,
 )
-from synth.controller.controller import Controller, code_of
+from synth.controller.controller import Controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementa
 
 def kind_of(controller: RunDriver) -> tuple[object, ...]:
     """Returns a key that is equal for controllers that one driver serves side by side."""
-    if (code := code_of(controller)) is not None:
+    if (code := controller.code) is not None:
         return "code", code.sha256
     match controller:
         case Programmed():
@@ -185,7 +185,7 @@ def driver_of(
         failures, numbers: see `PythonDriver`.
     """
     first, some = controllers[0], cast("Any", controllers)
-    if code_of(first) is not None:
+    if first.code is not None:
         from sim.physics.exported_code import CodeDriver
 
         return CodeDriver(some)

@@ -13,8 +13,8 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import command_limiter
 from models.vehicle.vehicle import Vehicle
 from sim.physics.actuators import closing_names
-from sim.physics.driver import Request, RunDriver, SemiActiveDriver
-from synth.controller.controller import Controller, code_of
+from sim.physics.driver import Request, SemiActiveDriver
+from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
 
@@ -31,11 +31,11 @@ class CodeDriver:
     ahead = 0
     requests: Request = "commands"
 
-    def __init__(self, controllers: Sequence[RunDriver | None]) -> None:
+    def __init__(self, controllers: Sequence[Controller | SemiActive]) -> None:
         """Takes N controllers with the same code, of their own vehicles."""
         self._controllers = controllers
-        self._codes: list[ExportedCode] = [code_of(one) for one in controllers]
-        self._law, semi_active = self._codes[0].law, [one for one in controllers if isinstance(one, SemiActive)]
+        self._codes: list[ExportedCode] = [one.code for one in controllers]
+        self._law, semi_active = self._codes[0].law, [one for one in controllers if one.linear is False]
         self._semi_active = SemiActiveDriver(semi_active) if semi_active else None
         self.measured = self._law.inputs[: self._law.readings]
 
@@ -47,7 +47,6 @@ class CodeDriver:
         """
         law, q, first = self._law, self._law.readings, vehicles[0]
         for one, code, vehicle in zip(self._controllers, self._codes, vehicles, strict=True):
-            assert isinstance(one, (Controller, SemiActive)), "other controllers have no exported code"
             if not is_law_of(code.law, vehicle, one):
                 raise InputError(
                     f"controller {one.name!r} has another law or implementation in this run than in the exported code; "

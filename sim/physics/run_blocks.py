@@ -21,7 +21,7 @@ from sim.physics.actuators import Actuators, closing_names
 from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
 from sim.physics.driver import Failure, RunDriver
 from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage, states_of_parts
-from synth.controller.controller import Controller, code_of
+from synth.controller.controller import Controller
 
 if TYPE_CHECKING:
     from sim.physics.part_steps import PartBatch
@@ -229,7 +229,7 @@ class _Loop:
         for some in groups.values():
             mine = [one for i in some if (one := controllers[i]) is not None]
             cars, around = [vehicles[i] for i in some], [how[i] for i in some]
-            if code_of(mine[0]) is not None:
+            if mine[0].code is not None:
                 around = [replace(one, delay=0.0, quantisation={}) for one in around]  # the code has its own
             driver = driver_of(mine, course.failures, [numbers[i] for i in some])
             heights = self.heights[:, share][:, some]

@@ -26,7 +26,6 @@ from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.jumps import Jumps
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -222,7 +221,7 @@ class MonitoredBatch:
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
             self.velocities = np.stack([road.velocities for road in inputs], axis=2)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
-        self.ends = EndDetector(vehicles, time, anti_windup=[has_anti_windup(one) for one in controllers])
+        self.ends = EndDetector(vehicles, time, anti_windup=[one.has_anti_windup for one in controllers])
         self.diverged = np.full(len(vehicles), np.inf)
         self.ran_away = np.zeros(len(vehicles), dtype=bool)
 

@@ -17,7 +17,6 @@ from models.common.arrays import Array
 from models.common.command import versions
 from models.document.text import markdown
 from models.kinds.signals import is_kept
-from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput, delays
 from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
@@ -28,7 +27,6 @@ from sim.response.response import Response
 from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
 from sim.runs.run import Run
 from synth.analysis.record import to_record
-from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented, norm_record
 
 if TYPE_CHECKING:
@@ -231,7 +229,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         named["road_file"] = _named("road", "csv", points)
         files[named["road_file"]] = ("text/csv", points)
     proved: dict[str, Any] = {}
-    if isinstance(controller, Programmed):
+    if controller.user_code is True:
         from sim.linear.dampers import command_names
         from sim.runs.forces import written_forces
 
@@ -241,7 +239,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         ):
             named[f"{what}_file"] = _named(what, suffix, content)
             files[named[f"{what}_file"]] = (media_type, content)
-    elif isinstance(controller, Controller):
+    elif controller.linear is True:
         certificate = controller.certificate
         norm = norm_if_implemented(vehicle, controller, run.prediction.timestep)
         proved = {
@@ -320,7 +318,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
 
 def _active(run: Run) -> tuple[str, ...]:
     """Returns the names of a controller's states by decreasing peak contribution to the force in the sampled response."""
-    if not isinstance(run.controller, Controller):
+    if run.controller.linear is False:
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
     gains = np.abs(run.controller.law.C).max(axis=0, initial=0.0)

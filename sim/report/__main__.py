@@ -189,7 +189,7 @@ def _reported(
     from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
-    from synth.controller.controller import Controller, code_of
+    from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
     check(vehicle, (), AMPLITUDE, options.timestep)
@@ -215,10 +215,10 @@ def _reported(
     if options.exported is not None:
         known = {one.name: one for one in controllers}
         coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
-        exported = next(one for one in coded if code_of(one) is not None)
+        exported = next(one for one in coded if one.code is not None)
     say_false_claims(controllers)
-    linear = tuple(one for one in controllers if isinstance(one, Controller))
-    laws = tuple(one for one in controllers if not isinstance(one, Controller))
+    linear = tuple(one for one in controllers if one.linear is True)
+    laws = tuple(one for one in controllers if one.linear is False)
     own = {"own_road": road, "road_name": name, "duration": duration}
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
     stage = Stages(*stages(pieces_of(scope)), "the page")

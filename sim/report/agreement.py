@@ -21,7 +21,6 @@ from sim.runs.run import Run
 from sim.runs.steps import DIFFERENCE, WHEN
 from sim.runs.time_histories import OF_LINE, history_figure
 from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics
-from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
 ROOM = 1.15  # times what was reached, on both axes
@@ -118,7 +117,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
     prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
 
     def settles(run: Run) -> bool:
-        return linear and isinstance(run.controller, Controller) and (prompt or not run.controller.law.acts)
+        return linear and run.controller.linear and (prompt or not run.controller.acts)
 
     columns: tuple[Field[tuple[Run, Run | None, str]], ...] = (
         NAME.of(lambda of: of[0]),

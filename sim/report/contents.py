@@ -32,7 +32,6 @@ from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_end import regime_ends
 from sim.studies.validity.regime_map import Cells, validity
 from sim.studies.validity.report import compare_maps, describe_ends
-from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.paper import SEED, is_the_papers
 
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
@@ -203,7 +202,7 @@ def _compared(
         return standings_of(runs, passive_beside(runs, scope.designer.design), samples, measured)
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
-    unsound = [one.name for one in scope.driven if unstable_by_itself(one)]
+    unsound = [one.name for one in scope.driven if one.growth]
     return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
 
 

@@ -5,7 +5,6 @@ from models.document.document import Document, Table, notes
 from sim.report.scope import Scope
 from sim.runs.report import code_notes, code_table, verdicts
 from sim.runs.run import run_controllers, sample_times
-from synth.controller.controller import code_of
 
 TITLE = "Exported code"
 
@@ -15,7 +14,7 @@ def exported_section(scope: Scope) -> Document:
     assert scope.exported is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(scope.vehicle, [scope.exported], scope.road, time)
-    effect, code = run.prediction.code_effect, code_of(scope.exported)
+    effect, code = run.prediction.code_effect, scope.exported.code
     assert effect is not None, "code drives the run"
     law, how = code.law, f"every {1e3 * code.law.period:g} ms" if code.law.period is not None else "at any period"
     rows = [

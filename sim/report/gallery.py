@@ -13,7 +13,7 @@ from models.document.page import VERDICTS, Page
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
-from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of
+from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven
 from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
@@ -63,14 +63,14 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
         return _over_time(run, same, one)
     if one.what == "ratio":
         hertz = np.geomspace(one.hertz / BAND, one.hertz * BAND, ABOUT)
-        response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), 2 * np.pi * hertz)
+        response = continuous_frequency_response(designer.vehicle, designer.design(one.controller), 2 * np.pi * hertz)
         gain = np.abs(response[:, designer.vehicle.linear_model.outputs.index(one.signal), 0])
         at = np.array([one.hertz]), np.array([one.value / one.scale])
         printed = Curve(*at, "printed", BLACK, "none", "D", name="printed")
         name = f"{one.signal.replace('_', ' ')} over the road's velocity"
         return Panel(name, "frequency [Hz]", "ratio [-]", (_line(hertz, gain), printed), xlog=True, ylog=True)
     if one.what == "norm":
-        loop, hertz = linear_of(designer, one).loop(designer.vehicle), np.geomspace(LOW, HIGH, ABOUT)
+        loop, hertz = designer.design(one.controller).loop(designer.vehicle), np.geomspace(LOW, HIGH, ABOUT)
         gain = largest_singular_values(loop.frequency_response(2 * np.pi * hertz))
         curves = _line(hertz, gain), _level(hertz, one.value)
         return Panel(f"{one.text}: largest singular value", "frequency [Hz]", "gain [-]", curves, xlog=True, ylog=True)

@@ -23,7 +23,7 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
 from sim.studies.ride.standing import Standing, standing, standing_over_runs
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController
 
 CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
 AVERAGE = "C"  # the class that controllers are compared on
@@ -153,9 +153,7 @@ class OverRoads:
     def __init__(self, vehicle: Vehicle, controller: AnyController, timestep: float, classes: str | None = None) -> None:
         """Simulates the controller, by default over the roads of all classes."""
         self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
-        linear = isinstance(controller, Controller)
-        # the settling time of a law in Python is unknown
-        start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST
+        start = min(settling_time(vehicle, controller), LONGEST)
         time = sample_times(vehicle, start + WINDOW, timestep)
         length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
         self.roads = [Iso8608(name, seed, SPEED, width, length) for name in self.classes for seed in SEEDS]
@@ -182,20 +180,17 @@ class OverRoads:
     def rides(self) -> Iterator[Ride]:
         """Yields every metric of every class."""
         vehicle, controller = self.vehicle, self.controller
-        linear = isinstance(controller, Controller)
         ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)
         where = points(vehicle)
         metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
         metrics += [(f"{name}_rms", "m") for name in where.suspensions]
         metrics += [(dynamic_load(name), "-") for name in where.tyres]
-        metrics += [
-            (f"{name}_rms", "N") for name, *_ in where.actuators if not isinstance(controller, Controller) or controller.law.acts
-        ]
+        metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if controller.acts]
         for road_class in self.classes:
             runs = self._runs(road_class)
             through = np.isinf(self.ended[runs])
             some = {name: each[runs][through] for name, each in self.found.items()}
-            expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW) if linear else None
+            expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW)
             lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():

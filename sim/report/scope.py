@@ -85,7 +85,7 @@ class Scope:
 
     def unstable(self, controller: AnyController) -> bool:
         """Returns True if a loop is known to be unstable, ideal or implemented."""
-        return isinstance(controller, Controller) and controller not in self.stable
+        return controller.linear and controller not in self.stable
 
     @property
     def noise_qualifier(self) -> str:

@@ -22,7 +22,6 @@ from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standi
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd
-from synth.controller.controller import Controller
 from synth.controller.report import NORM
 
 PANELS = {  # of the first figure
@@ -106,9 +105,7 @@ def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wro
     label, unit = name.replace("_", " "), vehicle.kind.signal(name).unit.replace("s2", "s²")
 
     def linear(run: Run) -> float | None:
-        return (
-            None if scope.unstable(run.controller) or not isinstance(run.controller, Controller) else float(run.sampled.rms(name))
-        )
+        return None if scope.unstable(run.controller) or not run.controller.linear else float(run.sampled.rms(name))
 
     columns: tuple[Field[Run], ...] = (
         NAME.of(lambda run: run.controller),

@@ -36,7 +36,6 @@ from sim.runs.code_effect import CodeEffect
 from sim.runs.commands import CommandAgreement, compare_commands
 from sim.runs.prediction import Prediction
 from sim.runs.steps import DIFFERENCE, WHEN, StepAgreement, compare_steps, from_steady, motion_of
-from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
@@ -136,7 +135,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
     """
     vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
     sampled, continuous = prediction.sampled, prediction.continuous
-    ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
+    ended = dict(zip(END_NAMES, reached(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
@@ -145,8 +144,7 @@ def compare(prediction: Prediction, physics: Response, commanded: Commanded | No
         if foretold < until:
             ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
-    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
-    rounding, steps, commands = roundings(vehicle, controller), None, None
+    rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
     if commanded is not None:
         if (motion := motion_of(vehicle)) is not None:
             end = min(ended[FLAT.name], diverged)

@@ -75,4 +75,4 @@ def _driver(designer: Designer, given: ControllerLike) -> AnyController:
     name, known = given if isinstance(given, str) else given.name, designer.vehicle.controllers
     if isinstance(given, ControllerEntry) and known.get(name) is not given:
         raise InputError(f"controllers: {name!r} belongs to another vehicle; give one of {listing(known)} of this vehicle")
-    return designer.design(name) if name not in known or known[name].linear else known[name].driver()
+    return designer.vehicle.driver(name, designer.design)

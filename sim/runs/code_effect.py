@@ -14,7 +14,7 @@ from models.common.arrays import Array
 from models.common.printed import finite
 from sim.response.response import Response
 from sim.runs.steps import DIFFERENCE
-from synth.controller.controller import AnyController, code_of
+from synth.controller.controller import AnyController
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law
 
@@ -76,7 +76,7 @@ def code_effect(
         until: time before which linear analysis applies to the run with the law [s].
         law_agrees: True if that run agrees.
     """
-    law, end = code_of(driver).law, min(physics.diverged, law_physics.diverged)
+    law, end = driver.code.law, min(physics.diverged, law_physics.diverged)
     code, ours, applies = physics.until(end), law_physics.until(end), law_physics.until(min(until, end))
     apart, shares = {name: np.abs(code[name] - ours[name]) for name in names}, dict.fromkeys(names, 0.0)
     if len(applies.time):

@@ -24,7 +24,7 @@ from sim.physics.driver import steps_ahead
 from sim.physics.simulate import Commanded
 from sim.response.response import Response
 from sim.runs.steps import LocalAgreement
-from synth.controller.controller import AnyController, Controller, code_of
+from synth.controller.controller import AnyController, Controller
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
@@ -76,7 +76,7 @@ def compare_commands(
     """
     vehicle, h = road.vehicle, road.timestep
     how = implementation_around(controller, vehicle)
-    period, coded = steps_per_sample(how, h), code_of(controller) is not None
+    period, coded = steps_per_sample(how, h), controller.code is not None
     count = int(np.searchsorted(road.time, min(until, physics.diverged)))
     due, outputs = np.arange(0, count, period), vehicle.linear_model.outputs
     noise = measurement_noise([how], (*outputs, *[""] * len(closing_names(vehicle))), len(road.time))
@@ -159,15 +159,15 @@ def _commands(
     arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
     after, limiter = None, command_limiter([vehicle], road.timestep)
     logged = commanded.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
-    if isinstance(controller, Controller) and code_of(controller) is None:
-        computed, allowed, after = _linear(controller, road, samples, limiter, logged)
-    elif isinstance(controller, SemiActive) and code_of(controller) is None:
-        computed, allowed = _semi_active(controller, vehicle, samples)
-    else:
+    if controller.user_code is True or controller.code is not None:
         computed = _again(controller, road, samples)
         if limiter is not None and driver_of([controller]).requests != "commands":
             computed = _limited(limiter, computed, logged)
         allowed = np.full_like(computed, EXACT) * np.abs(computed).max(axis=0, initial=0.0)
+    elif controller.linear is True:
+        computed, allowed, after = _linear(controller, road, samples, limiter, logged)
+    else:
+        computed, allowed = _semi_active(controller, vehicle, samples)
     for j in range(computed.shape[1]):
         expected, slack = (np.where(arrived >= 0, one[np.maximum(arrived, 0), j], 0.0) for one in (computed, allowed))
         scale = float(np.abs(expected).max(initial=0.0)) or 1.0

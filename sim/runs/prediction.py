@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
 from sim.response.response import Response
-from synth.controller.controller import AnyController, Controller, code_of
+from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
@@ -99,7 +98,7 @@ class Prediction:
         if not (self.vehicle.parts.nonlinear and self.is_linear):
             return None
         road = RoadInput(self.vehicle.linearised, self.road, self.time)
-        if isinstance(self.controller, Controller):
+        if self.controller.linear is True:
             return sampled_response(self.controller, road)
         from sim.linear.forced_response import forced_response
 
@@ -126,7 +125,7 @@ class Prediction:
     @property
     def rounding_text(self) -> str:
         """Returns the numbers to which exported code rounds; empty without code, or in double."""
-        code = code_of(self.controller)
+        code = self.controller.code
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
@@ -162,16 +161,16 @@ def predicted(controller: AnyController, road: RoadInput, commands: Array, most_
         commands: commands of the actuators in the run, see `sim.physics.actuators`, shape (T, m) or (T, 2 m).
         most_states: see `predict`.
     """
-    requested = commands if isinstance(controller, Programmed) else np.zeros((0, 0))
+    requested = commands if controller.user_code else np.zeros((0, 0))
     if not _has_response(road.vehicle, controller):
         signals = road.vehicle.kind.signals
         nothing = continuous = Response(road.time, signals, np.full((len(road.time), len(signals)), np.nan))
-        if isinstance(controller, Controller):
+        if controller.linear is True:
             continuous = continuous_response(controller, road)
             states = continuous.signals[len(signals) :]
             nothing = nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
         return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
-    if isinstance(controller, Controller):
+    if controller.linear is True:
         return predict(controller, road, most_states)
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
@@ -188,11 +187,11 @@ def _sampled(
         return linear(), linear(exponential=taylor4), None
     from sim.linear.stepped import forced, stepped
 
-    runs = stepped([driver], [road]) if isinstance(driver, Controller) else forced(driver, road)
+    runs = forced(driver, road) if isinstance(driver, np.ndarray) else stepped([driver], [road])
     response = runs.single
     return response, response, runs.finer.run(0)
 
 
 def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:
     """Returns True if there is an exact sampled response: the dampers are not adjusted."""
-    return not vehicle.dampers or (isinstance(controller, Controller) and not controller.law.acts)
+    return not vehicle.dampers or not controller.acts

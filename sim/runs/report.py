@@ -17,7 +17,6 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
-from models.laws.python_law import Programmed
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import JOULES, Energy
 from sim.response.regime import (
@@ -40,7 +39,7 @@ from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
-from synth.controller.controller import AnyController, Controller, has_anti_windup
+from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
@@ -118,7 +117,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
         **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **code_object(run.prediction.code_effect),
-        **({"margins": law_margins(run.vehicle, run.controller).record} if isinstance(run.controller, Controller) else {}),
+        **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
     }
 
@@ -160,7 +159,7 @@ def half_step_object(run: RunResult) -> dict[str, Any] | None:
 
 def controller_object(controller: AnyController) -> dict[str, Any]:
     """Returns a controller for JSON; the linear claims of a law in Python are None."""
-    if not isinstance(controller, Controller):
+    if controller.linear is False:
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
     certificate = controller.certificate
     return {
@@ -181,7 +180,7 @@ def energy_table(runs: Sequence[RunResult], where: str) -> Table:
 
 def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns the law of a controller, its claims, and remarks on it, a sentence each."""
-    if not isinstance(controller, Controller):
+    if controller.linear is False:
         forced = ["the columns sampled and continuous are linear responses to the forces that the control law requested"]
         forced = [one + "; sampled has the characteristics, too" * vehicle.parts.nonlinear for one in forced]
         return [controller.text, claims(controller), *forced[: not vehicle.dampers]]
@@ -203,7 +202,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
 
 def claims(controller: AnyController) -> str:
     """Returns norm and bound of a controller, or the reason for which it has none."""
-    if not isinstance(controller, Controller):
+    if controller.linear is False:
         return f"linear analysis does not apply ({controller.kind})"
     certificate = controller.certificate
     if not certificate.stable:
@@ -320,8 +319,7 @@ def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
     agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
     if radius > 1:
-        own = isinstance(run.controller, Controller) and law_margins(vehicle, run.controller).own_force
-        how = ", by direct feedback of its own force" if own else ""
+        how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
         yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
     elif radius == 1:
         yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
@@ -338,7 +336,7 @@ def _events(run: RunResult) -> Iterator[str]:
     elif agreement.lift_off and run.prediction.is_blurred and run.broke_off is None:
         yield f"accuracy after the lift-off: unknown, as half the timestep changes the {vehicle.implementation.noise_text}"
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
-    if vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
+    if vehicle.limits.actuator_bandwidth is not None and run.controller.has_anti_windup:
         said[SATURATION] = DEMAND_CLIPPED
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
@@ -402,7 +400,7 @@ def _distance(run: RunResult) -> Iterator[Statement]:
     worst = max(wrong or signals, key=lambda name: signals[name].excess if wrong else signals[name].sampled)
     signal, small = signals[worst], ""
     what, curved = run.prediction.reference, run.vehicle.parts.nonlinear
-    if isinstance(run.controller, Programmed):
+    if run.controller.user_code:
         what = f"the {'nonlinear' if curved else 'exact linear'} response to the forces of the law"
     size = DIFFERENCE.digits(signal.sampled)
     if signal.small is not None:
@@ -456,8 +454,8 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
     controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
-    margins = law_margins(run.vehicle, controller) if isinstance(controller, Controller) else None
-    warning = (margins.instability or margins.own_force or margins.small) if margins is not None else ""
+    margins = law_margins(run.vehicle, controller)
+    warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)
     claimed = [] if len(studied) > 1 else [claims(controller)]
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
@@ -519,7 +517,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
                 f"{names[force]} is between {setting.digits(one.softest)} and {setting.text(one.hardest)}; "
                 f"{percent(one.rms)} (rms) of the requested force is missing, at {percent(one.time)} of the samples"
             )
-    if most > HALF and isinstance(run.controller, Controller):
+    if most > HALF and run.controller.linear:
         text = "norms and margins do not describe this run: a semi-active damper cannot supply "
         text += f"{percent(most)} of the requested force"
         return [*notes(*texts), Statement(text, "ends")]

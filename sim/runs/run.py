@@ -14,7 +14,6 @@ from models.common.plausibility import remarks
 from models.document.document import Block, Document
 from models.document.figure import BLUE, Figure, Style
 from models.document.text import Shown, facts
-from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
@@ -30,7 +29,7 @@ from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
 from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
-from synth.controller.controller import AnyController, Controller, code_of
+from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
     from sim.physics.driver import RunDriver
@@ -179,7 +178,7 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
 
 def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) -> Sequence[Prediction]:
     """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
-    coded = [i for i, one in enumerate(predictions) if code_of(one.controller) is not None]
+    coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
         return predictions
     ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
@@ -243,7 +242,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: factor on the forces of a law in Python.
     """
-    if not isinstance(prediction.controller, Programmed) and (share != 1 or not prediction.varies):
+    if not prediction.controller.user_code and (share != 1 or not prediction.varies):
         return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
     from sim.physics.driver import RecordedForces

@@ -17,7 +17,6 @@ from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
-from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
 SAID = 0.02  # of a peak
@@ -47,7 +46,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
-        least = roundings(vehicle, run.controller if isinstance(run.controller, Controller) else None)
+        least = roundings(vehicle, run.controller)
         if loop is not None:
             A, C = loop.closed_loop.A, loop.closed_loop.C
         state = np.pad(apart, (0, len(A) - len(apart)))

@@ -217,7 +217,7 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
 
     entries = vehicle.controllers
     new = [one for one in names if one != "passive" and (options.refine or one == "state" or entries[one].law is None)]
-    check_save(options.save, vehicle, [name for name in new if name not in entries or not entries[name].preview] or new)
+    check_save(options.save, vehicle, [name for name in new if name not in entries or not entries[name].request.preview] or new)
 
 
 def _drawn(designs: Designs, path: Path) -> Path | None:

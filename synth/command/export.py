@@ -102,7 +102,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         raise InputError("--numbers is for C code, but a MATLAB file always has double numbers; omit --numbers")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
-    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
+    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].request.preview]
     held = [name for name in own if name not in left_out] or own
     names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
     other = [name for name in names if name not in linear]
@@ -188,7 +188,7 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
     controller, kind = Designer(saved, search=False).design(own), vehicle.kind.name
     identifier = f"{c_name(kind)}_{c_name(name)}"
     law = f"controller {own} in continuous time"
-    if isinstance(controller, Controller) and controller.law.sample_period is not None:
+    if controller.law.sample_period is not None:
         law = f"the continuous counterpart (Tustin's method) of the discrete controller {own}"
     title = f"{kind}, linear, with {law}"
     model = linear_model(identifier, title, saved, loop_system(saved, controller))
@@ -214,12 +214,12 @@ def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
             f"--export: {name!r} commands force actuators, but the vehicle file has semi-active dampers; export {name!r} from a "
             "file without [actuators]"
         )
-    if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
+    if entry is not None and entry.source.request is None:
         return vehicle, name
     show(f"controller {name}")
     controller = Designer(vehicle).design(name)
     show("")
-    if not isinstance(controller, Controller) or not controller.designed:
+    if not controller.designed:
         return vehicle, name
     check_feedback_alone(controller, "an export")
     folder = Path(vehicle.source).parent

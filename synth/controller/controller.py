@@ -1,7 +1,7 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -54,6 +54,9 @@ class Controller(ControlLaw, Checked, Shown):
         code: the `ExportedCode` that computes its outputs in runs; None if its own law does.
     """
 
+    linear: ClassVar[Literal[True]] = True
+    user_code: ClassVar[Literal[False]] = False
+
     name: str
     measured: tuple[str, ...]
     law: LinearLaw
@@ -99,6 +102,21 @@ class Controller(ControlLaw, Checked, Shown):
     def states(self) -> int:
         """Number of states of the law."""
         return self.law.states
+
+    @property
+    def acts(self) -> bool:
+        """See `ControlLaw`."""
+        return self.law.acts
+
+    @property
+    def growth(self) -> float:
+        """See `ControlLaw`."""
+        return self.law.growth
+
+    @property
+    def has_anti_windup(self) -> bool:
+        """See `ControlLaw`."""
+        return self.law.anti_windup is not None
 
     def preview_samples(self, period: float) -> int:
         """See `ControlLaw`."""
@@ -193,16 +211,6 @@ class Controller(ControlLaw, Checked, Shown):
 AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
 
 
-def code_of(driver: object) -> Any:
-    """Returns the `ExportedCode` that computes a controller's outputs in runs, or None if our own law does."""
-    return getattr(driver, "code", None)
-
-
-def has_anti_windup(controller: object) -> bool:
-    """Returns True if it is a controller whose law has anti-windup."""
-    return isinstance(controller, Controller) and controller.law.anti_windup is not None
-
-
 def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
     """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
 
@@ -213,7 +221,7 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
     for one in controllers:
         strange = [signal for signal in one.measured if signal not in outputs]
         wrong = f"measures {strange[0]!r}" if strange else ""
-        if isinstance(one, Controller) and one.law.D.shape != (forces, len(one.measured)):
+        if one.linear is True and one.law.D.shape != (forces, len(one.measured)):
             wrong = wrong or f"has a law of shape {one.law.D.shape}"
         if wrong:
             raise InputError(

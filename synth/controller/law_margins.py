@@ -107,8 +107,13 @@ class LawMargins:
         }
 
 
-def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
-    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop."""
+def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
+    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
+
+    Nothing is small of a law that is not linear, to which no margin applies.
+    """
+    if controller.linear is False:
+        return LawMargins(0.0, "", math.inf, 0.0, None)
     law = controller.law
     where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
     gain, gain_lower, disk, direct = math.inf, 0.0, None, 0.0
@@ -149,11 +154,6 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
         "grows from sample to sample; lower the gain on accelerations, or filter them."
     )
     return [text] if times else []
-
-
-def unstable_by_itself(driver: AnyController) -> bool:
-    """Returns True if a driver is a linear controller whose law is unstable by itself."""
-    return isinstance(driver, Controller) and driver.law.growth > 0
 
 
 def _clipped(vehicle: Vehicle) -> str:

@@ -277,7 +277,7 @@ def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns notes on a law for study: that no car can have it, and why it has no finite norm, if so."""
     if not vehicle.linear_model.over_datum(controller.measured):
         return []
-    shows = controller.problem(vehicle).judged(controller.law).shows if isinstance(controller, Controller) else ()
+    shows = controller.problem(vehicle).judged(controller.law).shows if controller.linear is True else ()
     names = listing([vehicle.weighted[i].name for i in shows])
     return [STUDY, *[f"no finite norm: a permanent height of the road causes a permanent {names}"] * bool(shows)]
 

@@ -41,29 +41,30 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         InputError: a preview without every state; or the vehicle has no sample period, but the design is for a sampled loop.
         DesignError: LQG with noise, but without a sample period.
     """
-    by_force = entry.structure is not None and entry.structure.rows is not None
+    request = entry.request
+    by_force = request.structure is not None and request.structure.rows is not None
     problem = DesignProblem(
-        plant=posed.plant if by_force else posed.of_states if entry.design else posed.plant.without_feedthrough,
-        order="full" if entry.design == FULL else "static",
-        structure=entry.structure,
-        design=entry.design if entry.design not in ("", FULL, "order", "pid") else "",
-        stable=entry.stable,
-        fastest_pole=entry.fastest_pole,
+        plant=posed.plant if by_force else posed.plant.without_feedthrough if request.two_steps else posed.of_states,
+        order="full" if request.design == FULL else "static",
+        structure=request.structure,
+        design=request.design if request.design != FULL else "",
+        stable=request.stable,
+        fastest_pole=request.fastest_pole,
         noise=white_noise(vehicle, entry, posed),
-        preview=entry.preview,
+        preview=request.preview,
         thorough=False,
         lower_bound=lower_bound,
         states=plant_states(vehicle, entry.hardware.bandwidth),
     )
-    if entry.design and not by_force:
+    if not request.two_steps and not by_force:
         problem = replace(problem, as_run=partial(on_readings, posed=posed))
-    if entry.sampled:
+    if request.sampled:
         from synth.controller.implementation_norm import held_problem
 
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
         near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
         return replace(problem, sampled=held_problem(vehicle, entry), near=near, states=states, certify=certify)
-    if entry.design == PREVIEW:
+    if request.design == PREVIEW:
         from synth.design.full_order.quadratic import state_rows
 
         try:
@@ -91,7 +92,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     Raises:
         DesignError: noise is given, and no T.
     """
-    if entry.design != "lqg":
+    if entry.request.design != "lqg":
         return None
     how = vehicle.implementation
     if how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
@@ -110,14 +111,14 @@ def controller_of(
     """Returns the controller of a result, with its law on the readings of sensors."""
     law, remarks = problem.as_run(result.law), result.remarks
     redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
-    if entry.sampled:
+    if entry.request.sampled:
         of_gain = "" if result.law.states else ", without measuring the delayed forces" * bool(vehicle.implementation.delay)
         level = f", whose norm is at most {digits(result.level)} by the LMI" if result.level is not None else ""
         remarks = "; ".join([f"designed for the sampled loop{of_gain}{level}", *remarks])
         instead = f"designed by descent on the sampled norm; reason: {result.instead}" if result.instead else ""
         more = {"remarks": (remarks,), "sampled": True, "redundant": redundant, "fallback_method": instead}
-        return Controller.of(entry, replace(law, anti_windup=entry.anti_windup), result.certificate, **more)
-    if not entry.design:
+        return Controller.of(entry, replace(law, anti_windup=entry.request.anti_windup), result.certificate, **more)
+    if entry.request.two_steps:
         beside = STATE_ALONE if entry.name == "state" and len(posed.plant.Cy) < len(posed.plant.A) else ""
         return Controller.of(
             entry,
@@ -133,7 +134,7 @@ def controller_of(
     if result.criterion == H2_NORM:
         remarks = _of_mean_square(problem, result), *remarks
     preview = None if result.preview is None else _on_roads(vehicle, result.preview)
-    law = replace(law, anti_windup=entry.anti_windup)
+    law = replace(law, anti_windup=entry.request.anti_windup)
     return Controller.of(entry, law, result.certificate, remarks=remarks, preview=preview)
 
 

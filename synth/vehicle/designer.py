@@ -12,6 +12,7 @@ import numpy as np
 from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
 from models.laws.combinations import check_command, goes
+from models.laws.law_structure import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
@@ -224,14 +225,15 @@ class Designer:
             method: the only method to use; by default those that the problem leads to.
         """
         problem, shared = design_problem(self.vehicle, entry, posed, lower_bound), self.shared(entry.hardware)
-        if not entry.design:
+        if entry.request.two_steps:
             problem = replace(problem, path=lambda: shared.state_path)
-        if entry.sampled and entry.design:
+        if entry.request.sampled and not entry.request.two_steps:
             return replace(problem, sampled_bound=self._sampled_bound(entry))
-        if entry.sampled:
-            ideal = self.design_problem(replace(entry, sampled=False), posed, lower_bound)
+        if entry.request.sampled:
+            continuous = replace(entry, source=replace(entry.request, sampled=False))
+            ideal = self.design_problem(continuous, posed, lower_bound)
             with contextlib.suppress(DesignError):
-                law = controller_of(self.vehicle, replace(entry, sampled=False), posed, ideal, design_for(ideal)).law
+                law = controller_of(self.vehicle, continuous, posed, ideal, design_for(ideal)).law
                 problem = replace(problem, ideal=(law.D,))
             return problem
         if method == "zero_l":
@@ -303,7 +305,7 @@ class Designer:
         except DesignError:
             start = None
         posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
-        if entry.sampled:
+        if entry.request.sampled:
             from synth.vehicle.sampled_data import sampled_refinement
 
             return sampled_refinement(self.vehicle, entry, posed, start or self.design(name), lower_bound)
@@ -341,7 +343,7 @@ class Designer:
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
         if name == "state":
-            return ControllerEntry(name, model.states, sampled=self.vehicle.sampled)
+            return ControllerEntry(name, model.states, DesignRequest(sampled=self.vehicle.sampled))
         return self.vehicle.linear_entry(name)
 
 
@@ -354,9 +356,7 @@ def certify_given(
 
 def driver_of(vehicle: Vehicle, name: str) -> AnyController:
     """Returns a controller of any kind, whose law the vehicle file gives."""
-    if name in vehicle.linear_names:
-        return Designer(vehicle, search=False).design(name)
-    return vehicle.controllers[name].driver()
+    return vehicle.driver(name, Designer(vehicle, search=False).design)
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

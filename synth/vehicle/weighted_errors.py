@@ -59,8 +59,9 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
 
 def is_robust_design(entry: ControllerEntry) -> bool:
     """Returns True if a controller is designed for its weighted errors: one with `order`, for the continuous loop."""
-    free = entry.structure is None or not (entry.structure.kind or entry.structure.rows)
-    return entry.errors is not None and entry.design in (FULL, "order") and free and not entry.sampled
+    request, structure = entry.request, entry.request.structure
+    free = request.design == FULL if structure is None else not (structure.kind or structure.rows)
+    return entry.errors is not None and free and not request.sampled
 
 
 def robust_controller(
@@ -80,7 +81,7 @@ def robust_controller(
         on_progress: callback that receives the robust performance so far, and True.
     """
     assert entry.errors is not None, "it has weights"
-    posed = nominal.problem(vehicle)
+    posed, structure = nominal.problem(vehicle), entry.request.structure
     structured = structured_plant(vehicle, nominal, entry.errors)
     kept, unbounded = posed.state_measurements, replace(problem, lower_bound=LowerBound(0.0), states=())
 
@@ -95,16 +96,16 @@ def robust_controller(
     best = [first]
 
     def on_turn(found: RobustDesign) -> None:
-        if entry.structure is None or found.law.states <= entry.structure.order:
+        if structure is None or found.law.states <= structure.order:
             best[:] = [found]
         on_progress(found.gamma, True)
 
     full = robust_design(structured, designs(order=FULL, structure=None), first, on_turn)
-    if entry.structure is not None:
+    if structure is not None:
         robust_design(structured, designs(), first, on_turn, full.law)
     if not best[0].turns:
         return nominal
-    law = replace(best[0].law, anti_windup=entry.anti_windup)
+    law = replace(best[0].law, anti_windup=entry.request.anti_windup)
     certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
     remark = (
         "designed for the smallest robust performance (mu), by design and scaling of errors in turn; the law with the smallest "

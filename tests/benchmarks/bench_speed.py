@@ -91,7 +91,7 @@ DRIVEN = [("quarter_car", "I", 1.05), ("half_car", "I", 1.2), ("full_car", "I", 
 
 def driver_of(vehicle: Vehicle, name: str) -> AnyController:
     """Returns a controller of a vehicle file."""
-    return Designer(vehicle).design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver()
+    return vehicle.driver(name, Designer(vehicle).design)
 
 
 @pytest.mark.goal
@@ -362,7 +362,7 @@ def semi_active(name: str, law: str) -> tuple[Vehicle, SemiActive, Controller]:
 
 def law_in(vehicle: Vehicle) -> SemiActiveLaw:
     """The law of a vehicle file that has one."""
-    law = vehicle.controllers["law"].semi_active
+    law = vehicle.controllers["law"].source
     assert law is not None
     return law
 

@@ -342,7 +342,7 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
     Path("cars/car.toml").write_text(f"{read_vehicle('quarter_car').text}\n{law}")
     for place, named in (("saved.toml", "cars/laws/sky.py"), ("cars/saved.toml", "laws/sky.py"), ("cars/laws/a.toml", "sky.py")):
         table(capsys, "--vehicle", "cars/car.toml", "--controller", "I", "--save", place)
-        python = read_vehicle(place).controllers["sky"].python
+        python = read_vehicle(place).controllers["sky"].source
         assert python is not None
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
     with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a path"):

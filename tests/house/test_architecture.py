@@ -253,6 +253,12 @@ def test_linear_systems_are_of_four_classes():
     assert found == SYSTEMS | OTHERS
 
 
+def test_controllers_answer_for_themselves():
+    """Only `sim.run`, which takes anything, asks if it was given a controller; nowhere else the class of one is asked."""
+    asks = re.compile(r"isinstance\((?:[^()]|\([^()]*\))*\b(?:AnyController|Controller|ControlLaw|Programmed|SemiActive)\b")
+    assert {NAMES[path] for path in FILES if asks.search(path.read_text(encoding="utf-8"))} == {"sim.runs.by_name"}
+
+
 def test_no_circle():
     """No file imports itself by way of others, not even where it is used."""
     graph = {module: {module_of(name) for name in imported(path)} - {None, module} for module, path in MODULES.items()}

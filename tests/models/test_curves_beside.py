@@ -29,7 +29,7 @@ ROUGH = with_tables(QUARTER, suspension_stiffness=PROGRESSIVE, suspension_dampin
 def runs(text, *names, road=BUMP, duration=1.0):
     """The runs of some controllers."""
     vehicle = parse_vehicle(text)
-    laws = {name: entry.semi_active for name, entry in vehicle.controllers.items() if entry.semi_active}
+    laws = {name: entry.source for name, entry in vehicle.controllers.items() if not entry.linear}
     controllers = [SemiActive(name, laws[name]) if name in laws else Designer(vehicle).design(name) for name in names]
     return run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, 1e-3))
 

@@ -358,11 +358,35 @@ def test_other_forces_or_another_text_in_a_log_are_found(tmp_path, monkeypatch):
     assert any("sha256" in one.text for one in prove(changed).runs[0].findings if one.verdict == "FAILS")
 
 
+def test_every_source_makes_its_driver(tmp_path):
+    """A linear law, given or designed, is made by the caller's design; a law in Python and a semi-active law by themselves."""
+    damped = '[controllers.sky]\nsemi_active = "skyhook"\n[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0\n'
+    given = '[controllers.given]\nmeasured = ["sprung_velocity"]\ngain = [[-900.0]]\n'
+    (tmp_path / "car.toml").write_text(vehicle_of(tmp_path, "raise SystemExit(3)\n").read_text() + given + damped)
+    vehicle, made = read_vehicle(tmp_path / "car.toml"), {}
+    for name in vehicle.controller_names:
+        made[name] = vehicle.driver(name, str.upper, lambda: "text in a log")
+    assert {name for name, driver in made.items() if driver == name.upper()} == {*vehicle.linear_names} >= {"state", "I", "given"}
+    assert (made["mine"].source, made["mine"].name, made["mine"].linear, made["mine"].user_code) == (
+        "text in a log",
+        "mine",
+        False,
+        True,
+    )
+    assert (made["sky"].record["semi_active"], made["sky"].linear, made["sky"].user_code) == ("skyhook", False, False)
+    for name in ("I", "given"):
+        with pytest.raises(InputError, match=f"^controller '{name}' has a linear law; design this controller with synth"):
+            vehicle.controllers[name].driver()
+    entries = vehicle.controllers
+    assert (entries["given"].law.D.tolist(), entries["I"].law, entries["mine"].law) == ([[-900.0]], None, None)
+    assert (entries["I"].request.two_steps, entries["given"].source.request, entries["sky"].source.request) == (True, None, None)
+
+
 def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     """A vehicle file that is text alone names a law and reads none; nor does reading a file run it."""
     path = vehicle_of(tmp_path, "raise SystemExit(3)\n")
     alone = parse_vehicle(path.read_text(encoding="utf-8"))
-    assert alone.controllers["mine"].python is not None
+    assert not alone.controllers["mine"].linear
     with pytest.raises(InputError, match="read from text"):
         alone.controllers["mine"].driver()
     assert read_vehicle(path).controllers["mine"].driver().name == "mine"

@@ -120,7 +120,7 @@ PAIR = re.compile(r"<([^<>]*) = ([^<>]*)>")
 def fields(text: str) -> str:
     """What a vehicle file says, but its text."""
     vehicle = parse_vehicle(text)
-    entries = [{**vars(entry), "law": entry.law and entry.law.record} for entry in vehicle.controllers.values()]
+    entries = [{**vars(entry), "source": (type(entry.source), entry.source.record)} for entry in vehicle.controllers.values()]
     curves = [(curve.x.tolist(), curve.force.tolist()) for curve in vehicle.curves.values()]
     return repr((vehicle.parameters, vehicle.limits, vehicle.implementation, entries, curves, vehicle.dampers))
 

@@ -25,7 +25,7 @@ from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.controller.controller import AnyController, Controller, code_of
+from synth.controller.controller import AnyController, Controller
 from synth.controller.export.c_law import exported_law
 from synth.controller.export.c_source import CSource
 from synth.controller.export.compiled import ExportedCode
@@ -118,7 +118,7 @@ def test_code_of_another_law_does_not_agree(numbers):
     vehicle = read_vehicle("quarter_car")
     law, on = given(vehicle, "I"), road_under(vehicle, 1.0, 1)
     wrong = coded(vehicle, dataclasses.replace(law, law=law.law.scaled(1.02)), numbers)
-    code = dataclasses.replace(code_of(coded(vehicle, law, numbers)), texts=code_of(wrong).texts)
+    code = dataclasses.replace(coded(vehicle, law, numbers).code, texts=wrong.code.texts)
     (run,) = run_controllers(vehicle, [dataclasses.replace(law, code=code)], on.road, on.time)
     assert not run.passed
     assert "DOES NOT AGREE: exported code changes" in prose(" ".join([one.text for one in reasons(run)]))

@@ -66,7 +66,7 @@ def test_few_functions_design_the_paper_s_controller():
 
 def is_two_step(entry: ControllerEntry) -> bool:
     """True for a controller of the two steps."""
-    return entry.linear and not entry.design and entry.law is None and entry.goals is None
+    return entry.source.request is not None and entry.request.two_steps and entry.goals is None
 
 
 @pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], shipped()))

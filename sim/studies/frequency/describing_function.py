@@ -22,7 +22,7 @@ from sim.response.regime import ended_by
 from sim.response.response import SILENT, STILL, Response, loudest_alike
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
-from synth.controller.controller import AnyController, has_anti_windup
+from synth.controller.controller import AnyController
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
@@ -97,7 +97,7 @@ def describing_function(
         away += runs.ran_away.tolist()
         for i, each in enumerate(some.tolist()):
             run = runs.run(i)
-            ended |= dict.fromkeys(ended_by(vehicle, run, has_anti_windup(controller)))
+            ended |= dict.fromkeys(ended_by(vehicle, run, controller.has_anti_windup))
             if np.isfinite(runs.diverged[i]):
                 nothing = np.full(len(outputs), np.nan)
                 parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))

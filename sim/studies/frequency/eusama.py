@@ -33,7 +33,7 @@ from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
 from sim.studies.frequency.worst_case_gain import PerWheelRoad, driven, whole_periods
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import Controller
 
 STROKE = 3e-3  # m, the plate's amplitude
 LOWEST, GRID = 0.3, 600  # Hz, frequencies: below it a wheel follows its plate
@@ -143,7 +143,7 @@ def _load(
     exact, integrated = (
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
-    ended = ended_by(vehicle, run, has_anti_windup(controller))
+    ended = ended_by(vehicle, run, controller.has_anti_windup)
     bends = bool(vehicle.parts.with_curve) or vehicle.parts.nonlinear
     if ended or bends:
         (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)

@@ -33,7 +33,7 @@ from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response, loudest_alike
 from sim.runs.run import sample_times
-from synth.controller.controller import Controller, check_fits, has_anti_windup
+from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
@@ -237,7 +237,7 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, time
         lines = fit(vehicle, controller, run, omega, period)
         driven = lines[vehicle.kind.wheels[0].road_velocity]
         measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
-        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run, has_anti_windup(controller))
+        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run, controller.has_anti_windup)
         order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
         identified.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
     return identified

@@ -18,7 +18,7 @@ from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_object
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_roads
 from synth.analysis.specification import SampledNorm
-from synth.controller.controller import Controller, code_of
+from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
@@ -128,7 +128,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     """Returns the failed claims of a sweep, in words; of a nonlinear law, without claims, that nothing was measured."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
-    code = code_of(one.controller)
+    code = one.controller.code
     rounds = code.law.numbers if code is not None and code.law.fixed is not None else ""
     why = f"; linear analysis omits rounding to {rounds}: give a larger --amplitude" if rounds else ""
     return [text + why for text in _failures(one, bool(rounds))]

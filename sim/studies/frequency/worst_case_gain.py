@@ -55,7 +55,7 @@ from sim.studies.frequency.identification import (
     without_slow_motion,
 )
 from synth.analysis.specification import SampledNorm
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
 from synth.controller.problem import road_twist_inputs
 from synth.plant.loop import Loop
@@ -224,7 +224,7 @@ def extremes(
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
     results = []
     for controller, one, (settled, tried) in zip(controllers, worst, driven_worst, strict=True):
-        runs, winds_up = dict(zip(roads, every, strict=False)), has_anti_windup(controller)  # the next ones, of this controller
+        runs, winds_up = dict(zip(roads, every, strict=False)), controller.has_anti_windup  # the next ones, of this controller
         ended = dict.fromkeys(name for run in (settled, *runs.values()) for name in ended_by(vehicle, run, winds_up))
         invariants = _measured(vehicle, controller, runs.pop("invariants"), len(time) // 2, timestep) if special else ()
         gains = {"worst sinusoid": settled_gain(vehicle, settled, tried)}
@@ -386,7 +386,7 @@ def worst_roads(
         last = _steady(loop, response, length, slow, angle).samples(slice(-count - 1, None))
         gain = math.sqrt(mean_square(vehicle, last)) / (scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5)))
         finer, _, _ = _worst(vehicle, controllers[i], angle, h / 2, most)
-        ended = ended_by(vehicle, response, has_anti_windup(controllers[i]))
+        ended = ended_by(vehicle, response, controllers[i].has_anti_windup)
         roads[i] = WorstRoad(angle, predicted, finer, gain, h, twisted, ended)
     return roads
 

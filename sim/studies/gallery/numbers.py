@@ -18,7 +18,6 @@ from sim.studies.ride.between_samples import Pieces
 from sim.studies.ride.between_samples import exact as between_samples
 from sim.studies.ride.step_response import SignalSteps, measure_step
 from synth.analysis.specification import ROBUST_PERFORMANCE
-from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import Plant
 from synth.vehicle.designer import Designer
@@ -74,7 +73,7 @@ def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
 
 def _robust_performance(designer: Designer, one: PrintedNumber) -> float:
     """Returns the proved bound on mu with performance."""
-    bounds = [promise.proved for promise in linear_of(designer, one).robustness if promise.what == ROBUST_PERFORMANCE]
+    bounds = [promise.proved for promise in designer.design(one.controller).robustness if promise.what == ROBUST_PERFORMANCE]
     if not bounds or bounds[0] is None:
         raise InputError(f"controller {one.controller!r} has no weighted errors; give a weight in its tolerance")
     return bounds[0]
@@ -97,7 +96,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> float:
 def _ratio(designer: Designer, one: PrintedNumber) -> float:
     """Returns the amplitude of a signal over that of the road's velocity under the first wheel."""
     omega = np.array([2 * np.pi * one.hertz])
-    response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), omega)
+    response = continuous_frequency_response(designer.vehicle, designer.design(one.controller), omega)
     return float(np.abs(response[0, designer.vehicle.linear_model.outputs.index(one.signal), 0]))
 
 
@@ -113,7 +112,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> float:
 
     `at` is its number by rising real part, then by size, of each pair one; and 0 for the real or 1 for the imaginary part.
     """
-    loop = linear_of(designer, one).loop(designer.vehicle)
+    loop = designer.design(one.controller).loop(designer.vehicle)
     poles = np.linalg.eigvals(loop.A)
     poles = poles[poles.imag >= 0]
     if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
@@ -161,7 +160,7 @@ def driven(designer: Designer, one: PrintedNumber) -> Run:
 @cache
 def _run(designer: Designer, controller: str, road: Road, duration: float, timestep: float) -> Run:
     time = sample_times(designer.vehicle, duration, timestep)
-    return run_controllers(designer.vehicle, [_linear(designer, controller)], road, time)[0]
+    return run_controllers(designer.vehicle, [designer.design(controller)], road, time)[0]
 
 
 def pieces_of(designer: Designer, one: PrintedNumber) -> Pieces:
@@ -221,8 +220,8 @@ def _paper(designer: Designer, one: PrintedNumber) -> float:
 
 # The value of linear analysis of each kind of number, in SI units.
 KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
-    "norm": lambda designer, one: linear_of(designer, one).certificate.norm.value,
-    "gain": lambda designer, one: float(linear_of(designer, one).law.D[one.at]),
+    "norm": lambda designer, one: designer.design(one.controller).certificate.norm.value,
+    "gain": lambda designer, one: float(designer.design(one.controller).law.D[one.at]),
     "robust_performance": _robust_performance,
     "zero": _zero,
     "ratio": _ratio,
@@ -235,18 +234,6 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
     "static": lambda designer, one: -designer.vehicle.kind.static_tyre_deflection(designer.vehicle.parameters)[one.signal],
     "paper": _paper,
 }
-
-
-def linear_of(designer: Designer, one: PrintedNumber) -> Controller:
-    """Returns the controller of a number; raises an InputError if it is not linear."""
-    return _linear(designer, one.controller)
-
-
-def _linear(designer: Designer, name: str) -> Controller:
-    controller = designer.design(name)
-    if not isinstance(controller, Controller):
-        raise InputError(f"controller {name!r} is not linear; give a linear one")
-    return controller
 
 
 def compared(entry: Entry) -> list[ComparedNumber]:

@@ -15,13 +15,11 @@ from numpy.polynomial import chebyshev
 from scipy.interpolate import barycentric_interpolate
 
 from models.common.arrays import Array
-from models.laws.python_law import Programmed
 from models.roads.road import RoadInput, delays, jumps_under_wheels
 from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.response.response import Response
 from sim.runs.run import Run
-from synth.controller.controller import Controller
 
 DEGREE = 8  # of the polynomial of a step
 PER_GAP = 8  # pieces of a road between two of its kinks, or more
@@ -167,7 +165,7 @@ def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     cut = math.ceil(PER_GAP * h / gap * (1 - ROUNDING))
     whole = _exact_steps(run, signals, len(time) - 1, 1)
     if road.jumps:
-        preview = getattr(run.controller, "preview", None)
+        preview = run.controller.preview
         ahead = {0.0, preview.seconds if preview is not None else 0.0}
         jumps = {at - before for at, *_ in jumps_under_wheels(road, run.vehicle) for before in ahead}
         whole = {name: _cut_at(one, sorted(jumps), preview is None) for name, one in whole.items()}
@@ -185,9 +183,9 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     every = parts * cut
     road = RoadInput(run.vehicle, run.road, np.arange(steps * every + 1) * (h / every))
     controller = prediction.controller
-    if prediction.loop is not None and isinstance(controller, Controller):
+    if prediction.loop is not None and controller.linear is True:
         response = continuous_response(controller, road)
-    elif isinstance(run.controller, Programmed):
+    elif controller.user_code:
         response = forced_continuous_response(np.repeat(prediction.requested_force, every, axis=0)[: steps * every + 1], road)
     else:
         return {}

@@ -58,7 +58,7 @@ from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equivalent
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController, Controller
 from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, named, radius
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
@@ -79,8 +79,9 @@ class Settled:
     signal: str
 
 
-def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> Settled | None:
-    """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop.
+def settled(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float) -> Settled | None:
+    """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop
+    and for a law that is not linear.
 
     It is None, too, if a preview has the rear wheels' road before these are on it.
 
@@ -89,7 +90,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
         timestep: timestep of the sampled loop [s].
         start: time at which measurement begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
     """
-    shares = settled_shares(vehicle, controller, road, timestep, start)
+    shares = settled_shares(vehicle, controller, road, timestep, start) if controller.linear is True else {}
     if not shares:
         return None
     furthest = max(shares, key=lambda name: abs(shares[name] - 1))
@@ -176,9 +177,12 @@ class Expected:
     line: Equivalent
 
 
-def settling_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the time [s] at which the slowest mode has all but `FORGOTTEN` of its variance; infinite for an unstable loop."""
-    if not is_linear(vehicle, controller):
+def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
+    """Returns the time [s] at which the slowest mode has all but `FORGOTTEN` of its variance.
+
+    Infinite for an unstable loop, and for a law that is not linear.
+    """
+    if controller.linear is False or not is_linear(vehicle, controller):
         return math.inf
     loop_stability = stability(loop_of(vehicle, controller).closed_loop.A)
     return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
@@ -191,14 +195,16 @@ def passive_settling_time(vehicle: Vehicle) -> float:
 
 
 @one_thread()
-def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
+def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> Expected | None:
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """
-    if not is_linear(vehicle, controller) or radius(loop_of(vehicle.linearised, controller, timestep)) >= 1:
+    if controller.linear is False or not is_linear(vehicle, controller):
+        return None
+    if radius(loop_of(vehicle.linearised, controller, timestep)) >= 1:
         return None
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:

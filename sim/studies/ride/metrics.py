@@ -45,7 +45,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.jumps import Jumps
 from sim.response.response import Response
 from sim.studies.ride.weighting import LATE, filtered, sampled_wk
-from synth.controller.controller import Controller
+from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of
 
 DEGREES = 180 / math.pi
@@ -66,13 +66,17 @@ def angle_metrics(angle: Array) -> dict[str, Array]:
     return {name: DEGREES * value for name, value in metrics.items()}
 
 
-def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s]; empty if the loop is unstable.
+def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
+    """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s].
+
+    Empty if the loop is unstable, or the law is not linear.
 
     Args:
         road: road with the loads.
         time: time of the loads [s].
     """
+    if controller.linear is False:
+        return {}
     model, load = vehicle.linear_model, road.loads(vehicle, np.array([time]))[0]
     closed = loop_of(vehicle, controller).closed_loop.part(model.outputs, model.loads)
     if np.linalg.eigvals(closed.A).real.max() >= 0:

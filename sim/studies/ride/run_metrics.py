@@ -34,7 +34,7 @@ from sim.studies.ride.expected import (
 from sim.studies.ride.metrics import measure, metrics_of, static_angles
 from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController
 
 UNIT = "m/km"
 ABOUT_IRI = "iri is a property of the road under the first wheel, defined at 80 km/h for any speed of the vehicle"
@@ -173,7 +173,7 @@ def measured_samples(
 
 def settling_times(driven: Sequence[tuple[Vehicle, AnyController]]) -> list[tuple[str, float]]:
     """Returns the name and the settling time [s] of each controller; infinite for a law in Python, whose transient is unknown."""
-    return [(one.name, settling_time(car, one) if isinstance(one, Controller) else math.inf) for car, one in driven]
+    return [(one.name, settling_time(car, one)) for car, one in driven]
 
 
 def start_reason(driven: Sequence[tuple[Vehicle, AnyController]], start: float, duration: float) -> str:
@@ -230,7 +230,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     expected: Expected | None = None
     transient: Settled | None = None
     controller = run.controller
-    if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
+    if (spectrum := road.spectrum) is not None:
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
         line = expected.line.vehicle if expected else vehicle.linearised
         transient = settled(line, controller, spectrum, timestep, float(time[first]))
@@ -247,9 +247,7 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
         found, linear, usual, off = (of.get(metric.name) for of in (mujoco, sampled, mean, spread))
         approximate = expected is not None and (curved or metric.name.endswith(APPROXIMATE))
         metrics[metric.name] = MetricComparison(metric.unit, found, linear, usual, off, approximate)
-    static = None
-    if road.loaded:
-        static = static_angles(vehicle, controller, road, float(time[-1])) if isinstance(controller, Controller) else {}
+    static = static_angles(vehicle, controller, road, float(time[-1])) if road.loaded else None
     return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
 
 

@@ -18,7 +18,7 @@ from sim.physics.run_blocks import runs_at_once
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
 from sim.response.response import Response, difference
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import Controller
 
 AT_ONCE = 32  # runs in a batch: more would wait for the longest
 
@@ -77,7 +77,7 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
     """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E), without missing force of dampers."""
-    used = utilisation(vehicle, response, has_anti_windup(controller))
+    used = utilisation(vehicle, response, controller.has_anti_windup)
     if not is_linear(vehicle, controller):
         used[..., REGIME_ENDS.index(DAMPER)] = 0.0
     return used
@@ -109,7 +109,7 @@ def _results(
     line, time = vehicle.linearised, physics.response.time
     for i, (controller, road) in enumerate(zip(controllers, roads, strict=True)):
         response, diverged = physics.response.run(i), float(physics.diverged[i])
-        times, missing = reached(vehicle, response, has_anti_windup(controller)), math.nan
+        times, missing = reached(vehicle, response, controller.has_anti_windup), math.nan
         if not is_linear(vehicle, controller):
             times[REGIME_ENDS.index(DAMPER)] = np.inf
         if vehicle.parts.adjustable:

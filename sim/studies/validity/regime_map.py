@@ -28,7 +28,7 @@ from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scale
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import Controller
 
 BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 AT_ONCE = 64  # responses side by side
@@ -210,7 +210,7 @@ def _predicted(
             factors = heights[mine] if proportional else np.ones(1)
             both = [shares(vehicle, controller, replace(run, values=sign * run.values)) for sign in (1.0, -1.0)]
             used[mine] = np.abs(factors)[:, None] * np.where(factors[:, None] > 0, both[0], both[1])
-            times[mine] = scaled_reached(vehicle, run, factors, has_anti_windup(controller))
+            times[mine] = scaled_reached(vehicle, run, factors, controller.has_anti_windup)
             travel[mine] = np.abs(factors) * max((float(run.peak(name)) for name in moves), default=0.0)
             done += len(mine)
         progress(done)

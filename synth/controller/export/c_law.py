@@ -19,10 +19,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.laws.anti_windup import anti_windup_gain
 from models.laws.linear import LinearLaw, static_law
-from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
+from models.laws.semi_active import LAWS, LawCoefficients
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController
 from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, rounded_shift
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
@@ -148,7 +148,7 @@ def exported_law(
             with curves.
     """
     how, model = vehicle.implementation, vehicle.linear_model
-    if not isinstance(driver, (Controller, SemiActive)):
+    if driver.user_code is True:
         raise InputError(f"controller {driver.name!r} is {driver.kind}, already code; export a linear or semi-active law")
     if not driver.measured:
         raise InputError(f"controller {driver.name!r} measures nothing and gives no force; export another one")
@@ -159,7 +159,7 @@ def exported_law(
         )
     if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.parts.adjustable):
         raise InputError("semi-active dampers with characteristics cannot be exported; give only c_min and c_max")
-    if isinstance(driver, Controller) and any(one.ratio != 1 for one in vehicle.parts.adjustable):
+    if driver.linear and any(one.ratio != 1 for one in vehicle.parts.adjustable):
         raise InputError("a linear law on semi-active dampers with a motion ratio cannot be exported; export a semi-active law")
     if vehicle.dampers and len(vehicle.parts.adjustable) != len(model.inputs):
         raise InputError("semi-active dampers and force actuators cannot be exported together; give all suspensions one kind")
@@ -176,7 +176,7 @@ def exported_law(
     rate = vehicle.limits.force_rate
     if rate is not None and how.sample_period is None:
         raise InputError("force_rate limits changes from sample to sample; give [implementation] sample_period")
-    velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
+    velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and driver.linear else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.parts.adjustable) if vehicle.dampers else model.inputs
     limits, sources_of = _ranges(vehicle, driver, ranges or {}, sources or {}) if numbers in BITS else (None, ())
@@ -198,7 +198,7 @@ def exported_law(
         "ranges": limits,
         "range_sources": sources_of,
     }
-    if isinstance(driver, SemiActive):
+    if driver.linear is False:
         common |= {"law": static_law(np.zeros((m, q))), "anti_windup": None, "coefficients": numbers_of([driver.law], [vehicle])}
         return ExportedLaw(**common, semi_active=driver.law.name, modes=len(driver.law.modes))
     law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law

@@ -17,7 +17,7 @@ from models.laws.linear import MATRICES
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.specification import SAMPLED_NORM
-from synth.controller.controller import SUFFIX, AnyController, Controller
+from synth.controller.controller import SUFFIX, AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
 from synth.controller.export.compiled import ExportedCode
@@ -169,7 +169,7 @@ def _faults(law: ExportedLaw) -> str:
 
 
 def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
-    if not isinstance(driver, Controller):
+    if driver.linear is False:
         return "A semi-active law has no certificate. `python -m sim.drive` simulates it on a road."
     entry = vehicle.controllers.get(driver.name)
     scalars = {name: value for name, value in (entry.certificate or {}).items() if isinstance(value, float)} if entry else {}
