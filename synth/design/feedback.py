@@ -152,9 +152,8 @@ def design_feedback(
         return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
         check_continuous(plant)
-        white = design != "h2"
-        problem = replace(problem, plant=plant if white else problem.plant)
-        problem = replace(problem, noise=tuple(rms) if design == "lqg" and len(rms) else None)
+    if design == "lqg":  # its white noise is not a part of w
+        problem = replace(problem, plant=plant, noise=tuple(rms) if len(rms) else None)
     if design is None and problem.structure is None and order != FULL:
         return _static(problem)
     result = designed(problem)

@@ -76,6 +76,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
             failures.append(error)
             problem = replace(problem, failure=error)
     if problem.start is None:
+        assert failures, "a method returns a result"
         raise failures[0] if problem.order == FULL else failures[-1]
     for name in further:
         problem = problem.starting(method_of(name)(problem, progress))

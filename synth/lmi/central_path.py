@@ -127,7 +127,7 @@ def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralP
 
 def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
     """Yields the points for a plant in differences over a step; a step of 0 means a continuous plant."""
-    check_posed(plant)
+    check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = remove_unobservable(plant, Q, R, step)

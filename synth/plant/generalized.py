@@ -414,10 +414,11 @@ def check_posed(plant: Plant) -> None:
     """Checks that a plant has a disturbance and a controlled output.
 
     Raises:
-        InputError: Bw and Dw are zero, or C and D are.
+        InputError: Bw, Dw and Dyw are zero, or C and D are.
     """
-    if not (np.any(plant.Bw) or np.any(plant.Dw)):
-        raise InputError("the plant has no disturbance: Bw and Dw are zero; give at least one nonzero entry")
+    if not (np.any(plant.Bw) or np.any(plant.Dw) or np.any(plant.Dyw)):
+        zero = "Bw, Dw and Dyw" if len(plant.Dyw) else "Bw and Dw"
+        raise InputError(f"the plant has no disturbance: {zero} are zero; give at least one nonzero entry")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output z is zero, as C and D are zero; give at least one signal a weight above zero")
 

@@ -149,10 +149,10 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
             f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
             f"({digits(result.without)} without preview), {of_white_noise}{at_once}"
         )
-    # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
-    heard = {"lqg": problem.noise, "h2": problem.plant.Dyw}.get(problem.design)
-    beside = {"lqg": ", with noise of the sensors", "h2": ", with noise of w on the sensors"}
-    noise = beside[problem.design] if heard is not None and np.any(heard) else ""
+    if problem.design == "lqg":  # its white noise is not a part of w
+        noise = ", with noise of the sensors" if problem.noise is not None and np.any(problem.noise) else ""
+    else:
+        noise = ", with noise of w on the sensors" if np.any(problem.plant.Dyw) else ""
     return f"minimises the mean square of z: the H2 norm is {digits(result.h2_norm)}, {of_white_noise}{noise}{at_once}"
 
 

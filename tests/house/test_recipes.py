@@ -171,7 +171,8 @@ def test_add_a_method_of_design(tmp_path):
     file, line = recipe.blocks("python")
     for folder in ("models", "synth", "sim", "tests", "docs"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
-    (tmp_path / "synth" / "design" / "shifted_h2.py").write_text(file, encoding="utf-8")
+    minimising = file.replace('of stability")', 'of stability", value=1.0, criterion="H2 norm")')
+    (tmp_path / "synth" / "design" / "shifted_h2.py").write_text(minimising, encoding="utf-8")
     path = tmp_path / "models" / "laws" / "design_methods.py"
     source = path.read_text(encoding="utf-8")
     path.write_text(source.replace("METHODS = {", f"METHODS = {{\n{line}", 1), encoding="utf-8", newline="\n")
@@ -194,7 +195,12 @@ def test_add_a_method_of_design(tmp_path):
             parse_vehicle(text + "sampled = true")
         except InputError as error:
             print(error)
-        print(file_schema("half_car")["properties"]["controllers"]["additionalProperties"]["properties"]["design"]["enum"])
+        schema = file_schema("half_car")["properties"]["controllers"]["additionalProperties"]["properties"]
+        print("shifted_h2" in schema["design"]["enum"])
+        loops = [design_feedback(plant, design="shifted_h2", noise=[rms]).certificate.loop for rms in (0, 0.1)]
+        print(loops[1].Bw.shape[1] - loops[0].Bw.shape[1])
+        heard = text + "noise = true\\n[implementation]\\nnoise = { heave_velocity = 0.01 }"
+        print(Designer(parse_vehicle(heard)).design("own").remarks[0][-32:])
     """
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True
@@ -206,7 +212,9 @@ def test_add_a_method_of_design(tmp_path):
         '[controllers.own] design = "shifted_h2" cannot be combined with sampled = true: a design for the sampled loop minimises '
         'the norm; choose design = "shifted_h2" (works with anti_windup, noise, lag, control_force) or sampled = true (works '
         'with the two-step design, order = "full", order = 2, structure = "pid")',
-        "['shifted_h2', 'lqr', 'lqg', 'h2', 'preview']",
+        "True",
+        "1",
+        ", with noise of w on the sensors",
     ], run.stderr
 
 

@@ -15,6 +15,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.quadratic import h2_design, lqg_design
 from synth.design.full_order.riccati import SAME, WITHIN, central_law
 from synth.design.problem import DesignResult
 from synth.plant.generalized import GeneralizedPlant
@@ -300,6 +301,21 @@ def test_redundant_measurements():
     holds(noisy, twice, both, noise)
     assert np.any(both.law.B[:, q:])
     assert both.certificate.norm.value < one.certificate.norm.value * (1 - 1e-3)
+
+
+def test_disturbance_of_measurements_alone():
+    """If w acts on y alone and z is u, the least norm is 2 p / |r|, from the residue r of the unstable pole p (Glover 1986)."""
+    A, B, Cy = np.array([[0.0, 1, 0], [2, -1, 1], [0, 0, -3]]), np.array([[0.0], [1], [1]]), np.array([[1.0, 0, 0]])
+    plant = GeneralizedPlant(A, B, np.zeros((3, 1)), np.zeros((1, 3)), [[1.0]], [[0.0]], Cy=Cy, Dyw=[[1.0]])
+    pole, residue = 1.0, (Cy @ np.linalg.solve(1e-6 * np.eye(3) + np.eye(3) - A, B)).item() * 1e-6
+    found = full_order_design(plant)
+    assert found.certificate.norm.value == pytest.approx(2 * pole / abs(residue), rel=WITHIN)
+    holds(plant, Cy, found, plant.Dyw)
+    X, Y = (linalg.solve_continuous_are(*pair, np.zeros((3, 3)), np.eye(1)) for pair in ((A, B), (A.T, Cy.T)))
+    mean = float(np.sqrt(B.T @ X @ Y @ X @ B).item())  # of u = -B' X x_c alone: w does not reach the state
+    silent = plant.measured(Cy)
+    for design in (h2_design(plant), lqg_design(silent, noise=[1.0])):
+        assert design.h2_norm == pytest.approx(mean, rel=1e-9)  # of two Riccati equations
 
 
 def test_what_cannot_be_designed():

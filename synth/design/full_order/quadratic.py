@@ -179,10 +179,10 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
         noise: feedthrough from additional white noise to y, shape (q, k), which affects the mean alone.
     """
     check_inputs(plant)
-    check_posed(plant)
+    shaken = plant if noise is None else plant.with_disturbances(noise)
+    check_posed(shaken)
     if reasons := "; ".join(stabilisability_failures(plant, states)):
         raise InfeasibleError(reasons)
-    shaken = plant if noise is None else plant.with_disturbances(noise)
     own = NormalisedPlant.of(shaken)
     Dyw_T = np.delete(own.plant.Dyw, list(_known(own.plant)), axis=0).T
     (cost, least_cost), (unheard, least_noise) = _assumed(own.plant.D), _assumed(Dyw_T)
