@@ -24,22 +24,22 @@ TABLE = """
 what all commands share: files, options, checks, tables of numbers   3008   2126      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           5906   2166    333
+vehicle file, types, equations, MJCF                           5997   2166    333
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
     tests/*/test_{cars,heights,mjcf,new,on_demand,seat,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,seat,vehicle-data}.md
-laws and families in files                                      259    347    108
+laws and families in files                                      255    347    108
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  649    707    103
+laws in Python                                                  677    731    103
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            193    411    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1247    755    204
+semi-active dampers and laws                                   1268    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
@@ -69,17 +69,17 @@ analytic and random roads                                      1661    929     9
 preview, LQR, LQG, H2                                           527    625     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
-anti-windup, integrals, compatible options                      394   1140      0
+anti-windup, integrals, compatible options                      395   1140      0
     models/laws/{anti_windup,combinations}.py models/vehicle/integrals.py synth/controller/integral_action.py
     tests/support/pairs.py tests/*/test_{anti_windup,integrals,pairs,windup}.py
-fixed order, PI, PID                                            996    330      0
+fixed order, PI, PID                                           1044    330      0
     models/laws/law_structure.py synth/design/fixed_order/* tests/synth/test_fixed_order.py
 goals, families, trade-off front                               3670   1533    129
     models/laws/goals.py synth/design/multi_objective/* synth/design/multi_model.py synth/vehicle/trade_off/*
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
-uncertainty: fragility, mu, boxes                              2372    914     61
+uncertainty: fragility, mu, boxes                              2373    914     61
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
@@ -87,13 +87,13 @@ sampled data: norm, bound, designs, rates                      2104   1283    11
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3272   1454     96
+export: C99, fixed point, FMI, MATLAB                          3271   1454     96
     synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
-full-order H-infinity                                           913    724    114
+full-order H-infinity                                           913    740    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2095    734      0
+static search, descent, refine                                 2091    734      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 two steps, LMI path                                            2644   1002     35
@@ -106,54 +106,54 @@ certificates, norms, lower bounds                              3359   2272     6
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3028   2167    322
+plant algebra, filters, any plant                              3029   2167    322
     synth/plant/* models/laws/{design_methods,filter}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3369    649    153
+synth command, controller record, designer                     3378    649    153
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             849    579     43
+log re-verification                                             847    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
-recordings: MCAP, Foxglove, Rerun                              2182   1138     48
+recordings: MCAP, Foxglove, Rerun                              2180   1138     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4172   1363     68
+page and figures                                               4161   1363     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2509   1542    164
+campaigns                                                      2492   1542    164
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-gallery of papers                                               732    343     49
+gallery of papers                                               719    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2490    944     79
     sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-frequency, sweep                                               1872    554     37
+frequency, sweep                                               1871    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2260   1208      0
+ride metrics and their expectation                             2266   1208      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 map of validity                                                1205    369     33
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2001    992     18
+MuJoCo loop                                                    2000    992     18
     sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                                765    364      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      3311    914     60
+runs, verdict, their text                                      3304    914     60
     sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1003   1005    374
+commands that drive                                            1001   1005    374
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4130   1563
+house, pages, benchmarks                                          0   4144   1563
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*
