@@ -59,7 +59,7 @@ ROOMS = {
     "synth.controller sim.response",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.plant synth.controller synth.vehicle sim.response sim.linear sim.physics",
-    "sim.recording": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "
+    "sim.recording": "models.document models.kinds models.vehicle models.roads synth.analysis synth.controller "
     "sim.response sim.linear sim.physics sim.runs",
     "sim.studies": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
     "synth.plant synth.analysis synth.controller synth.design synth.vehicle sim.response sim.linear sim.physics sim.runs",
@@ -78,8 +78,7 @@ ROOMS = {
     "sim.new": "models.vehicle",
     "sim.report": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
     "synth.controller synth.vehicle synth.command sim.response sim.linear sim.physics sim.runs sim.studies sim.command",
-    "sim.sweep": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.runs sim.studies "
-    "sim.command",
+    "sim.sweep": "models models.document models.vehicle models.roads synth.vehicle sim.runs sim.studies sim.command",
     "sim.__main__": "",
 }
 OF_ALL = "models.common"
