@@ -78,8 +78,7 @@ ROOMS = {
     "sim.new": "models.vehicle",
     "sim.report": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
     "synth.controller synth.vehicle synth.command sim.response sim.linear sim.physics sim.runs sim.studies sim.command",
-    "sim.sweep": "models models.document models.vehicle models.roads synth.vehicle sim.runs sim.studies "
-    "sim.command",
+    "sim.sweep": "models models.document models.vehicle models.roads synth.vehicle sim.runs sim.studies sim.command",
     "sim.__main__": "",
 }
 OF_ALL = "models.common"
