@@ -1,12 +1,12 @@
-"""Plants whose problem (22) has no optimum, or where every gain is one; beside each stands a problem that has one:
+"""Regularised problems for plants whose problem (22) is degenerate: it has no optimum, or every gain is optimal.
 
-- **w does not reach z**, or some gain keeps it out: a norm of 0 is reached, and eta has no bound. Then every state that z sees is
-  disturbed by itself, too.
-- **No control force reaches z**: the norm is the same for all gains. Then every state and every force counts, too.
+- **w does not affect z**, or some gain decouples z from w: the norm 0 is reached, and eta has no bound. The regularised problem
+  has an additional disturbance of every state that z contains.
+- **No control force affects z**: the norm is the same for all gains. The regularised problem has an additional disturbance of
+  every state, and an additional weight on every state and every force.
 
-The gain is certified for the plant as it is: an X that proves a bound with more disturbances and outputs proves it with fewer.
-
-A plant of which z sees every state, whatever the gain, never comes here (`synth.design.two_step.regular`).
+The gain is certified for the given plant: an X that proves a bound with more disturbances and outputs also proves the bound with
+fewer. A plant whose z contains every state does not need this module (`WellPosedProblem.regular`).
 """
 
 from collections.abc import Sequence
@@ -28,11 +28,11 @@ INSTEAD = "designed for a disturbance of every state that z contains"
 def regularised(plant: Plant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
-        return WellPosedProblem(plant)  # bad input, and the central path says so
+        return WellPosedProblem(plant)  # bad input, which the central path refuses
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
-    blind = output_nulling_subspace(own, nothing)[1]  # what z does not see without control
+    blind = output_nulling_subspace(own, nothing)[1]  # states unobservable in z without control
     alone = nothing if is_stable(plant.A, plant.dt) else None
     strength = size(own.Bw) * (plant.dt or 1.0)
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
@@ -91,7 +91,7 @@ def unobservable_marginal_modes(plant: Plant, states: Sequence[str] = ()) -> lis
                 for pole, vector in zip(poles, vectors.T, strict=True)
                 if abs(pole.real + dt * abs(pole) ** 2 / 2) <= rounding
             ]
-        if still:  # the slowest of them: which comes first is rounding's choice
+        if still:  # the slowest mode, because rounding decides the order of the modes
             at, vector = min(still, key=lambda pair: abs(pair[0]))
             where = complex(0.0, at.real) if dt is None else complex(1 + dt * at)
             return [
@@ -109,14 +109,14 @@ def check_marginal_modes(plant: Plant, problem: Plant, states: Sequence[str]) ->
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
         DesignError: the optimal loop is not stable.
     """
-    if modes := unobservable_marginal_modes(problem, states):  # a path without an end may be followed for a while
+    if modes := unobservable_marginal_modes(problem, states):  # else the path would be followed in vain
         if reached_by_none := "; ".join(stabilisability_failures(plant, states)):
             raise InfeasibleError(reached_by_none)
         raise DesignError(modes[0])
 
 
 def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
-    """Returns coordinates (n, k) and plant of the part that `unseen` leaves for (22), and the gain that hides the rest."""
+    """Returns basis (n, k) and plant of the states that `remove_unobservable` leaves, and the gain that hides the others."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -127,7 +127,7 @@ def _seen(plant: Plant, step: float) -> tuple[Array, Plant, Array]:
 
 
 def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
-    """Returns True if inputs drive states outside a subspace, or if their given part `what` is not zero."""
+    """Returns True if inputs drive states outside a subspace; `what` is their component outside, if it is known."""
     outside = inputs - inside @ (inside.T @ inputs) if what is None else what
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
@@ -139,7 +139,13 @@ def _disturbed(plant: Plant, where: Array) -> Plant:
 
 
 def _counting(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
-    """With every state and every input in z, each in its own size, where the plant itself is `own`."""
+    """Returns the plant with every state and every input in z, each in its own size.
+
+    Args:
+        own: the given plant in own units.
+        scale: own unit of each state, shape (n,).
+        forces: own unit of each input, shape (m,).
+    """
     n, m = plant.B.shape
     weight = size(own.C)
     states, inputs = weight * np.diag(1 / scale), weight * size(own.B) / size(own.A) * np.diag(1 / forces)

@@ -26,7 +26,7 @@ from synth.analysis.stability import is_stable
 from synth.design.problem import DESCENT, LARGEST_GAIN, TWO_STEPS, DesignProblem, DesignResult, Progress
 from synth.design.two_step import (
     NO_GAIN,
-    NOT_FROM_THESE,
+    NO_SECOND_STEP,
     check_stabilisable,
     independently_measured,
     no_gain,
@@ -82,7 +82,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     """
     plant, steps, failure = problem.plant, problem.start, problem.failure
     if steps is None:
-        reason = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
+        reason = NO_SECOND_STEP if isinstance(failure, NoSolutionError) else str(failure)
     elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
         return steps
     check_stabilisable(plant, problem.states)

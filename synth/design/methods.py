@@ -1,4 +1,4 @@
-"""The choice between the methods of design, and `design`, which runs the choice.
+"""The choice between the methods of design, and `design`, which runs the chosen methods.
 
 A method is a function in a file of its own, and a line in `METHODS` of `models.laws.design_methods`:
 
@@ -35,7 +35,7 @@ def method_of(name: str) -> Method:
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the methods that a problem leads to: some to try one after another until one succeeds, and some that go on then."""
+    """Returns the methods for a problem: those to try until one succeeds, and those that then continue from its result."""
     if problem.method:
         return (problem.method,), ()
     if problem.sampled is not None:
@@ -85,7 +85,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
 
 
 def _instead_of_riccati(problem: DesignProblem, result: DesignResult, failure: Exception) -> DesignResult:
-    """Returns the result of another method than that of the least norm, with the reason for it."""
+    """Returns the result of the method that replaced the Riccati equations, with the reason."""
     certificate = replace(result.certificate, below=problem.lower_bound)
     why = f"Riccati equations for the least norm failed: {failure}"
     method = "H2, of full order" if result.criterion == H2_NORM else result.method

@@ -45,14 +45,15 @@ def quiet(value: float, within: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class WellPosedProblem:
-    """A problem (22) that has an optimum.
+    """A problem (22) that is not degenerate.
 
     Attributes:
         plant: plant to design for: the given plant, unless its problem is degenerate.
         case: degeneracy of the given problem, in words, or empty.
         best: an optimal state gain, shape (m, n), if one is known.
         best_case: degeneracy that makes that gain optimal, in words.
-        regular: True if w reaches the plant and z sees each of its states, whatever the gain: (22) then has one optimum.
+        regular: True if w acts on the state, and z contains every state without control and under the gain -D^+ C. No mode can
+            then be hidden from z. A force without a weight may still leave (22) without an optimum.
     """
 
     plant: Plant
@@ -72,9 +73,9 @@ class DesignProblem:
 
     Attributes:
         plant: n states, m inputs, q measurements y = C_y x + Dyw w.
-        order: "static" for a gain, or "full" for as many states as the plant; a `structure` is instead of it.
+        order: "static" for a gain, or "full" for as many states as the plant. A `structure` overrides the order.
         structure: structure of a law of fewer states; None without one.
-        design: "lqr", "lqg", "h2" or "preview" for the least mean square of z; empty for the least norm.
+        design: name in `DESIGNS`, such as "h2" for the least mean square of z; empty for the least norm.
         method: name in `METHODS` of the only method to use; empty for those that the problem leads to.
         stable: True for a law that is stable by itself.
         fastest_pole: largest magnitude of the loop's poles [rad/s]; None for no limit.
@@ -94,8 +95,8 @@ class DesignProblem:
         as_run: returns a law as it is run, for a law that takes forces out of what it reads.
         certify: returns the certificate of a law as it is run; that of its loop with the plant if it is not given.
         work: counts the norms of searches; each has its own count if it is not given.
-        start: result to start from; None at first.
-        failure: error of the method before this one, if it found nothing.
+        start: result of the previous method, to start from; None for the first method.
+        failure: error of the previous method, if that method found no controller.
     """
 
     plant: Plant
@@ -155,10 +156,10 @@ class DesignResult(Shown):
         criterion: name of that value: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
             without a sample period, or if none is proved.
-        level: level of the LMI by which the two steps designed a gain for the sampled loop; None for others.
+        level: upper bound on the sampled norm from the LMI of the two steps for the sampled loop; None for other designs.
         redundant: measurements that follow from others, by index; their gain is zero.
         case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
-        instead: the fallback method and why the two steps found no gain, in words, or empty.
+        instead: the fallback method, and the reason why the two steps found no gain, in words, or empty.
         state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
             central path, more if the second problem is infeasible from there.
         optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only

@@ -38,7 +38,7 @@ from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
 from synth.design.problem import LARGEST_GAIN, SAMPLED_NORM, DesignProblem, DesignResult, Progress
 from synth.design.static import GainSearch, bounded_work
-from synth.design.two_step import NO_GAIN, NOT_FROM_THESE, independent_rows, no_gain, nullspace, output_feedback, state_path
+from synth.design.two_step import NO_GAIN, NO_SECOND_STEP, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant, on_all_rows
@@ -315,7 +315,7 @@ def _gain(
         if not np.isfinite(reached):
             tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
             raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
-        why = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
+        why = NO_SECOND_STEP if isinstance(failure, NoSolutionError) else str(failure)
     why += f"; {work.text}" if work.over else ""
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
     return moved, norm_of(problem, moved, near), None, why

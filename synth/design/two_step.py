@@ -1,14 +1,15 @@
 """The paper's two steps: a static output-feedback gain by two LMI problems, with its certificate (section 2).
 
-    x' = A x + B u + Bw w,    z = C x + D u,    y = C_y x
+    x' = A x + B u + Bw w,    z = C x + D u + Dw w,    y = C_y x        (15), Dw = 0 in the paper
 
-Step 1 is state feedback u = G_s x: it maximises eta subject to an LMI in X and Y. Step 2 does the same for those X and Y that
-belong to a gain u = K y. The matrix L, from the X of step 1, makes step 2 convex. The optimum of either step is the limit of its
-central path (`synth.lmi.central_path`), which depends on no solver and on no unit.
+Step 1 is state feedback u = G_s x: it maximises eta subject to an LMI in X and Y. For u = K y, X and Y must also fulfil
+Y X^-1 = K C_y (8), which is not convex. Step 2 therefore maximises eta over the X and Y of the form (12) alone. Each of these
+pairs has a K, and they are a convex set for every matrix L. With L (14), the X of step 1 is of the form (12). The optimum of
+either step is the limit of its central path (`synth.lmi.central_path`), which depends neither on a solver nor on units.
 
-The functions in front of `well_posed` are the formulas. Behind them, a design chooses independent measurements, own units and,
-if step 2 has no solution from the limit, an X from a point before. Plants whose problem (22) has no optimum are in
-`synth.design.degenerate`.
+The functions before `well_posed` are the paper's formulas. The functions after it choose independent measurements and units. If
+step 2 has no solution for the X at the limit, they take X from an earlier point of the path. `synth.design.degenerate` treats
+plants whose problem (22) has no optimum.
 """
 
 import contextlib
@@ -33,7 +34,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import independent, own_units, unit_rows
 
 MOST = 1100  # unknowns of step 1, 45 states with one input: the second problem is solved from several X, in a minute or less
-SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
+SAME = 1e-9  # relative distance up to which a state gain G counts as K C_y
 
 
 def state_feedback(plant: Plant, mu: float = LIMIT) -> list[CentralPoint]:
@@ -58,6 +59,8 @@ def nullspace(Cy: Array) -> Array:
 
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
     """Returns L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
+
+    With this L, R = X C_y' (C_y X C_y')^-1, and X = Q X_Q Q' + R X_R R' (12) with X_R = C_y X C_y'.
 
     Args:
         X: the state-feedback X, shape (n, n).
@@ -84,7 +87,7 @@ def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
 
 
 def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
-    """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
+    """Returns the central path of (25) for a given L. The K of its last point is the gain Y_R X_R^-1 (13).
 
     Args:
         plant: plant whose C_y, shape (q, n), has full row rank.
@@ -96,9 +99,9 @@ def output_feedback(plant: Plant, L: Array, Q: Array) -> list[CentralPoint]:
     """
     R = r_matrix(plant.Cy, Q, L)
     try:
-        # The problem (7) for all X and Y with Y X^-1 = K C_y (8) is not convex. With X = Q X_Q Q' + R X_R R', Y = Y_R R' (12) in
-        # eta and F (11) it becomes (10): max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R > 0.  (25)
-        # Then K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
+        # The problem (7) for all X and Y with Y X^-1 = K C_y (8) is not convex. Its restriction (10) to X = Q X_Q Q' + R X_R R'
+        # and Y = Y_R R' (12), by (11), is:  max eta  subject to  F(X_Q, X_R, Y_R, eta) < 0,  X_Q > 0,  X_R > 0.  (25)
+        # Then Y X^-1 = K C_y with K = Y_R X_R^-1 (13), and the norm is at most eta^-1/2 (26).
         return central_path(plant, Q, R)
     except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
@@ -114,7 +117,7 @@ def independent_rows(plant: Plant) -> list[int]:
     return independent(plant.Cy * own_units(plant, measured=True).states)
 
 
-@functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
+@functools.lru_cache(maxsize=2)  # both steps of a design call this function, and plants do not change
 def well_posed(plant: Plant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
 
@@ -133,7 +136,7 @@ def well_posed(plant: Plant) -> WellPosedProblem:
     return regularised(plant)
 
 
-NOT_FROM_THESE = "problem (25) has no solution for the X of (22), but another gain may exist"
+NO_SECOND_STEP = "problem (25) has no solution for the X of (22), but another gain may exist"
 NO_GAIN = "no static gain found"
 
 
@@ -144,7 +147,7 @@ def no_gain(tried: str, more: str = "") -> str:
 
 @numerics()
 def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """Returns the central path of (22), or of a regularised problem if that has no optimum, in the plant's own units.
+    """Returns the central path of (22), or of a regularised problem if (22) has no optimum, in the units of the given plant.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
@@ -191,9 +194,10 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: L
 
 
 def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> DesignResult:
-    """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
+    """Returns the gain furthest along a central path whose certificate holds and whose loop is not too fast for actuators.
 
-    Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
+    If all certified loops are too fast, as for a plant that hardly moves by itself, the slowest of these loops is the reference
+    for the speed instead of the plant.
 
     Raises:
         DesignError: no certificate holds.
@@ -220,7 +224,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         raise DesignError("its certificate fails: the path has no point")
     from synth.analysis.bounding import certify_tightly
 
-    # The path's own X may lie too near the edge of what can be proved in floating point, as at 40 states; another one need not.
+    # The X of the path may be too close to singular for a proof in floating point, as for 40 states. Another X may prove a bound.
     another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
@@ -237,8 +241,8 @@ def two_step_design(
 ) -> DesignResult:
     """Returns the static gain of the paper's two steps, with its certificate: L (14) from the X of (22), then (25).
 
-    The second problem (25) can be infeasible from the optimal X, and feasible from a point of the central path shortly before it.
-    Then that point gives X. The plant is scaled to its own units first, so that the result does not depend on the given ones.
+    The second problem (25) can be infeasible for the optimal X, and feasible for the X of an earlier point of the central path.
+    Then the last such point gives X. The plant is first scaled to own units, so that the result does not depend on given units.
 
     Args:
         plant: n states, m inputs.
@@ -300,13 +304,18 @@ def two_step_design(
     if reasons := "; ".join(stabilisability_failures(plant, states) or static_feedback_obstructions(plant)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, NoSolutionError)]
-    first, *_ = [*broken, *failures]  # only where none has a solution that is the reason
+    first, *_ = [*broken, *failures]  # a path that broke off leaves open whether the second problem has a solution
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 
 @numerics()
 def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> DesignResult:
-    """Remark 4: (25) with L = 0, in one step."""
+    """Returns the static gain of (25) with L = 0, in one step (remark 4).
+
+    Raises:
+        NoSolutionError: (25) has no solution with L = 0.
+        DesignError: no certificate holds.
+    """
     plant, few, kept = independently_measured(plant)
     problem, units = well_posed(plant), own_units(plant, measured=True)
     rows, measured = units.rows(few.Cy)
@@ -326,7 +335,7 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 
 
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
-    """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
+    """Returns a design from some of q measurements as a design from all q, with a gain of zero for the others."""
     gain = on_all_rows(design.gain, kept, q)
     return replace(
         design, law=static_law(gain), state_step_gap=state_step_gap, redundant=tuple(i for i in range(q) if i not in kept)

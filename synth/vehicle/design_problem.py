@@ -34,7 +34,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     """Returns the design problem of a section, without goals.
 
     Args:
-        posed: plant and measurements that the controller is judged with.
+        posed: plant and measurements for which the controller is certified.
         lower_bound: lower bound for any controller from these measurements.
 
     Raises:
@@ -139,7 +139,7 @@ def controller_of(
 
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Returns what a design for the least mean square minimises, in words."""
+    """Returns a sentence on the H2 norm that a design for the least mean square minimises."""
     from synth.design.full_order.quadratic import AT_ONCE
 
     at_once = AT_ONCE if np.any(problem.plant.Dw) else ""
@@ -159,7 +159,7 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
 def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
     """Returns a preview of the plant's disturbances as one of roads.
 
-    A twist of the road, which acts by its height, is a disturbance beside its velocity (`generalized_plant`), and known too.
+    The height of a road's twist is a disturbance in addition to the road's velocity (`generalized_plant`). It is known, too.
     """
     from models.laws.preview import RoadPreview
 

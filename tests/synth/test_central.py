@@ -50,6 +50,16 @@ def test_bound_is_the_solvers(designer, name):
     assert central.gamma < solved.gamma * (1 + 1e-8)  # and ours is no worse
 
 
+@pytest.mark.parametrize("name", ["I", "II"])
+def test_first_x_has_the_form_of_the_second(designer, name):
+    """With L (14) the X of step 1 is Q X_Q Q' + R X_R R' (12), with X_R = C_y X C_y' and X_Q > 0."""
+    X, Cy, Q = designer.state_feedback.X, CY[name], nullspace(CY[name])
+    R, X_R = r_matrix(Cy, Q, l_matrix(X, Cy, Q)), Cy @ X @ Cy.T
+    X_Q = Q.T @ (X - R @ X_R @ R.T) @ Q
+    np.testing.assert_allclose(Q @ X_Q @ Q.T + R @ X_R @ R.T, X, atol=1e-13 * np.abs(X).max())  # rounding
+    assert np.linalg.eigvalsh(X_Q).min() > 0
+
+
 def test_norm_is_the_optimum_of_problem_27(designer):
     """For a given gain the optimum of (27) is the norm that the frequency response has."""
     loop = designer.plant.closed_loop(designer.design("I").state_gain(designer.vehicle))

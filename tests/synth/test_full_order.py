@@ -306,8 +306,9 @@ def test_redundant_measurements():
 def test_disturbance_of_measurements_alone():
     """If w acts on y alone and z is u, the least norm is 2 p / |r|, from the residue r of the unstable pole p (Glover 1986)."""
     A, B, Cy = np.array([[0.0, 1, 0], [2, -1, 1], [0, 0, -3]]), np.array([[0.0], [1], [1]]), np.array([[1.0, 0, 0]])
-    plant = GeneralizedPlant(A, B, np.zeros((3, 1)), np.zeros((1, 3)), [[1.0]], [[0.0]], Cy=Cy, Dyw=[[1.0]])
-    pole, residue = 1.0, (Cy @ np.linalg.solve(1e-6 * np.eye(3) + np.eye(3) - A, B)).item() * 1e-6
+    plant = GeneralizedPlant(A, B, 0 * B, 0 * Cy, np.eye(1), np.zeros((1, 1)), Cy=Cy, Dyw=np.eye(1))
+    pole, near = 1.0, 1e-6  # distance to the pole, and error of the residue
+    residue = near * (Cy @ np.linalg.solve((pole + near) * np.eye(3) - A, B)).item()
     found = full_order_design(plant)
     assert found.certificate.norm.value == pytest.approx(2 * pole / abs(residue), rel=WITHIN)
     holds(plant, Cy, found, plant.Dyw)
