@@ -57,7 +57,11 @@ class LawSource:
     linear = True  # False if linear analysis does not apply to the law
     sample_period: float | None = None  # of a given law in discrete time [s]
     title = "a linear law"  # kind of the law with its article, and its file
-    path: Path | None = None  # of the law's own file
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the law's own file; None for a law without one."""
+        return None
 
     @property
     def record(self) -> dict[str, Any]:

@@ -80,8 +80,9 @@ class SetElement(SettablePart):
     without: Part
 
     states, fastest = _of("element", "states"), _of("element", "fastest")
-    line, bent, range = _of("without", "line"), _of("without", "bent"), _of("without", "range")
-    kinked_at_rest = _of("without", "kinked_at_rest")
+    line, bent = _of("without", "line"), _of("without", "bent")  # pyright: ignore[reportIncompatibleMethodOverride]
+    range = _of("without", "range")  # pyright: ignore[reportIncompatibleMethodOverride]
+    kinked_at_rest = _of("without", "kinked_at_rest")  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def coefficient(self) -> str:

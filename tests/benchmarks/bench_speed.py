@@ -363,7 +363,7 @@ def semi_active(name: str, law: str) -> tuple[Vehicle, SemiActive, Controller]:
 def law_in(vehicle: Vehicle) -> SemiActiveLaw:
     """The law of a vehicle file that has one."""
     law = vehicle.controllers["law"].source
-    assert law is not None
+    assert isinstance(law, SemiActiveLaw)
     return law
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import control
 import numpy as np
@@ -190,12 +191,14 @@ def test_what_no_force_moves_at_once():
 
     An output that a force moves at once takes nothing from it, and a force that moves all outputs leaves no bound.
     """
-    G, W = control.ss(control.tf([1, 1], [1, 0.5, 4])), control.ss(control.tf([2, -2.2, 1], [3, 0.2, 0.01]))
+    G: Any = control.ss(control.tf([1, 1], [1, 0.5, 4]))
+    W: Any = control.ss(control.tf([2, -2.2, 1], [3, 0.2, 0.01]))
     A, Bw = np.block([[G.A, np.zeros((2, 2))], [-W.B @ G.C, W.A]]), np.vstack([np.zeros((2, 1)), W.B])
     C, Cy, one = np.hstack([-W.D @ G.C, W.C]), np.hstack([-G.C, np.zeros((1, 2))]), np.ones((1, 1))
     plant = GeneralizedPlant(A, np.vstack([G.B, np.zeros((2, 1))]), Bw, C, 0 * one, W.D).measured(Cy, one)
     found = find_lower_bound(plant)
     assert found.gamma == pytest.approx(2 / 3, rel=1e-14)
+    assert found.zeros is not None
     assert limit_at_zeros(plant, found.zeros) == found.gamma
     also = replace(plant, C=np.vstack([C, 0 * C]), D=np.array([[0.0], [1.0]]), Dw=np.vstack([W.D, 5 * one]))
     assert limit_at_infinity(also) == pytest.approx(2 / 3, rel=1e-14)

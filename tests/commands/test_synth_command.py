@@ -13,6 +13,7 @@ import pytest
 import synth.command.cross_check
 from models.common.errors import InputError
 from models.document.field import cells
+from models.laws.python_law import PythonLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from synth.__main__ import main
@@ -343,7 +344,7 @@ def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
     for place, named in (("saved.toml", "cars/laws/sky.py"), ("cars/saved.toml", "laws/sky.py"), ("cars/laws/a.toml", "sky.py")):
         table(capsys, "--vehicle", "cars/car.toml", "--controller", "I", "--save", place)
         python = read_vehicle(place).controllers["sky"].source
-        assert python is not None
+        assert isinstance(python, PythonLaw)
         assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
     with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of the folder other); give a path"):
         main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])

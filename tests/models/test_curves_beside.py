@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from models.common.errors import InputError
-from models.laws.semi_active import SemiActive
+from models.laws.semi_active import SemiActive, SemiActiveLaw
 from models.vehicle.vehicle import parse_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
@@ -29,7 +29,7 @@ ROUGH = with_tables(QUARTER, suspension_stiffness=PROGRESSIVE, suspension_dampin
 def runs(text, *names, road=BUMP, duration=1.0):
     """The runs of some controllers."""
     vehicle = parse_vehicle(text)
-    laws = {name: entry.source for name, entry in vehicle.controllers.items() if not entry.linear}
+    laws = {name: one.source for name, one in vehicle.controllers.items() if isinstance(one.source, SemiActiveLaw)}
     controllers = [SemiActive(name, laws[name]) if name in laws else Designer(vehicle).design(name) for name in names]
     return run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, 1e-3))
 

@@ -378,7 +378,9 @@ def test_every_source_makes_its_driver(tmp_path):
         with pytest.raises(InputError, match=f"^controller '{name}' has a linear law; design this controller with synth"):
             vehicle.controllers[name].driver()
     entries = vehicle.controllers
-    assert (entries["given"].law.D.tolist(), entries["I"].law, entries["mine"].law) == ([[-900.0]], None, None)
+    given = entries["given"].law
+    assert given is not None
+    assert (given.D.tolist(), entries["I"].law, entries["mine"].law) == ([[-900.0]], None, None)
     assert (entries["I"].request.two_steps, entries["given"].source.request, entries["sky"].source.request) == (True, None, None)
 
 

@@ -26,7 +26,7 @@ CAR = HALF[: HALF.index("[actuators.front]")] + DAMPER
 def law_of(text: str, name: str) -> tuple[SemiActiveLaw, SemiActive]:
     """A law of a vehicle file."""
     law = parse_vehicle(text).controllers[name].source
-    assert law is not None
+    assert isinstance(law, SemiActiveLaw)
     return law, SemiActive(name, law)
 
 

@@ -1,6 +1,7 @@
 """Hysteretic dampers whose voltage a controller sets: the choice of the voltage, whole runs, energy, samples and refusals."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,8 +90,8 @@ def integrated(on: RoadInput, law: str, factor=1.0) -> np.ndarray:
             def away(u, D=D, w=r * v, z=z, wanted=wanted):
                 return abs(pull_and_rates(u, D, w, z, factor)[0] - wanted)
 
-            searched = minimize_scalar(away, bounds=(0.0, 2.0), method="bounded", options={"xatol": 1e-10}).x
-            u = min((0.25 if away(0.25) < 1e-9 else searched, 0.0, 2.0), key=away)
+            searched: Any = minimize_scalar(away, bounds=(0.0, 2.0), method="bounded", options={"xatol": 1e-10})
+            u = min((0.25 if away(0.25) < 1e-9 else searched.x, 0.0, 2.0), key=away)
         found.append([d, x[1] - on.heights[k, 0], u])
 
         def rate(_, x, road=on.midway[k, 0], u=u):

@@ -231,6 +231,6 @@ def objectives_of(
     return goals, bounds
 
 
-def decay(problem: MultiObjectiveProblem, landscape: Landscape, rate: float) -> Decay:
-    """Returns the bound on the slowest pole of a loop."""
+def decay(problem: MultiObjectiveProblem, landscape: Any, rate: float) -> Decay:
+    """Returns the bound on the slowest pole of the loop of a `BandLandscape`."""
     return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))
