@@ -56,7 +56,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         lower_bound=lower_bound,
         states=plant_states(vehicle, entry.hardware.bandwidth),
     )
-    if not request.two_steps and not by_force:
+    if not (request.two_steps or by_force or request.sampled):  # a sampled loop has the readings as they are
         problem = replace(problem, as_run=partial(on_readings, posed=posed))
     if request.sampled:
         from synth.controller.implementation_norm import held_problem

@@ -411,3 +411,16 @@ def test_a_false_bound_fails(saved, tmp_path, capsys, what):
     printed = " ".join(capsys.readouterr().out.split())
     assert "claims that the lower bound of the sampled loop is" in printed
     assert "its proof does not hold for this vehicle" in printed
+
+
+def test_the_law_of_a_section_reads_the_sensors_as_they_are():
+    """A law for a sampled loop acts on readings of accelerations, which contain the force: it is the law of the loop's problem."""
+    law = 'order = "full"\nsampled = true\nmeasured = ["sprung_acceleration", "suspension_deflection"]\n'
+    vehicle = parse_vehicle(
+        f"{read_vehicle('quarter_car').text}\n[implementation]\nsample_period = 0.01\n[controllers.own]\n{law}"
+    )
+    designer, entry = Designer(vehicle), vehicle.controllers["own"]
+    found, problem = designer.design("own").law, held_problem(vehicle, entry)
+    near = designer.lower_bound(entry.measured).gamma
+    bound = find_sampled_bound(problem, near)
+    np.testing.assert_array_equal(found.D, sampled_full_order(problem, bound, near).law.D)
