@@ -414,7 +414,7 @@ def test_a_false_bound_fails(saved, tmp_path, capsys, what):
 
 
 def test_the_law_of_a_section_reads_the_sensors_as_they_are():
-    """A law for a sampled loop acts on readings of accelerations, which contain the force: it is the law of the loop's problem."""
+    """A law for a sampled loop acts on accelerations, which contain the force: it is the law of the loop's problem."""
     law = 'order = "full"\nsampled = true\nmeasured = ["sprung_acceleration", "suspension_deflection"]\n'
     vehicle = parse_vehicle(
         f"{read_vehicle('quarter_car').text}\n[implementation]\nsample_period = 0.01\n[controllers.own]\n{law}"
