@@ -281,6 +281,14 @@ def static_law(gain: Array) -> LinearLaw:
     return LinearLaw(np.zeros((0, 0)), np.zeros((0, q)), np.zeros((m, 0)), gain)
 
 
+def unchecked_static_law(gain: Array) -> LinearLaw:
+    """Returns the law u = K y of a gain in any units, also with entries beyond `LARGEST`."""
+    m, q = np.shape(gain)
+    law = static_law(np.zeros((m, q)))
+    object.__setattr__(law, "D", gain)
+    return law
+
+
 def law_of(record: Mapping[str, Any]) -> LinearLaw:
     """Returns the law of a `LinearLaw.record`, which may have further keys.
 

@@ -49,14 +49,18 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
     first = min(reports.values(), key=lambda one: len(one.rounding))
+    kinds = {one.found.stable.proof for one in reports.values()}
     fields: list[Field[tuple[str, FragilityReport]]] = [
         Field("errors [%]", lambda of: of[0]),
         Field("unstable", lambda of: _between(of[1].found.stable)),
-        Field("proof", lambda of: of[1].found.stable.proof),
+        *([] if len(kinds) == 1 else [Field("proof", lambda of: of[1].found.stable.proof)]),
         *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
         *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
     ]
-    text = "Errors of all signals: largest proved harmless, then smallest found harmful. int16, float16: norm of the rounded law."
+    kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
+    text = (
+        f"Errors of all signals: largest proved harmless{kind}, then smallest found harmful. int16, float16: norm when rounded."
+    )
     return [*notes(text, detail="brief"), Table.of("fragility", text, fields, reports.items(), detail="brief")]
 
 

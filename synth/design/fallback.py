@@ -91,8 +91,15 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import descended
 
+    # In place of two steps that are worse than no control, a gain with poles that actuators can follow is enough.
+    limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
-        search = descended(few, start, problem.largest_gain, problem.lower_bound, work=problem.work)
+        searches = [descended(few, start, problem.largest_gain, problem.lower_bound, work=problem.work)]
+        for most in limits[1:]:
+            if not searches[-1].certificate.beyond_actuators:
+                break
+            searches.append(descended(few, start, problem.largest_gain, problem.lower_bound, most=most, work=problem.work))
+        search = next((one for one in searches if not one.certificate.beyond_actuators), searches[0])
         certificate, gain = search.certificate, search.gain
         how = f"by descent on the norm from {search.origin}, with gains up to {problem.largest_gain:g}"
         if certificate.failures:

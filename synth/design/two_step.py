@@ -23,7 +23,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.linear import static_law
+from models.laws.linear import unchecked_static_law
 from synth.analysis.certificate import FASTEST, Certificate, certify
 from synth.analysis.lower_bound import LowerBound
 from synth.design.problem import TWO_STEPS, DesignProblem, DesignResult, Progress, WellPosedProblem
@@ -336,15 +336,14 @@ def independently_measured(plant: Plant) -> tuple[Plant, Plant, list[int]]:
 
 def with_redundant_rows(design: DesignResult, kept: Sequence[int], q: int, state_step_gap: float) -> DesignResult:
     """Returns a design from some of q measurements as a design from all q, with a gain of zero for the others."""
-    gain = on_all_rows(design.gain, kept, q)
-    return replace(
-        design, law=static_law(gain), state_step_gap=state_step_gap, redundant=tuple(i for i in range(q) if i not in kept)
-    )
+    law = unchecked_static_law(on_all_rows(design.gain, kept, q))
+    redundant = tuple(i for i in range(q) if i not in kept)
+    return replace(design, law=law, state_step_gap=state_step_gap, redundant=redundant)
 
 
 def _result(gain: Array, certificate: Certificate, **more: Any) -> DesignResult:
     """Returns the result of a gain."""
-    return DesignResult(static_law(gain), certificate, TWO_STEPS, **more)
+    return DesignResult(unchecked_static_law(gain), certificate, TWO_STEPS, **more)
 
 
 def two_steps(problem: DesignProblem, progress: Progress) -> DesignResult:

@@ -25,7 +25,7 @@ gain = [[-4000.0, 0.1]]
 [controllers.goals]
 measured = ["suspension_deflection", "sprung_velocity"]
 minimise = { band = [4.0, 8.0] }
-bounds = [{ norm = 8.5 }, { decay = 0.5 }]
+bounds = [{ norm = 8.5 }, { decay = 0.5 }, { gain = 2e4 }]
 
 [controllers.first]
 measured = ["sprung_velocity"]
