@@ -83,7 +83,7 @@ uncertainty: fragility, mu, boxes                              2377    914     6
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2104   1296    110
+sampled data: norm, bound, designs, rates                      2104   1299    110
     synth/analysis/sampled_*.py synth/design/{,full_order/}sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
