@@ -23,7 +23,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
-from synth.design.problem import DESCENT, LARGEST_GAIN, TWO_STEPS, DesignProblem, DesignResult, Progress
+from synth.design.problem import DESCENT, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress
 from synth.design.two_step import (
     NO_GAIN,
     NO_SECOND_STEP,
@@ -47,7 +47,6 @@ NEAR = 1e-3  # relative; two steps this close to what no controller beats are le
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
-SEEN = 1e-6  # relative: what a table of seven digits shows
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 

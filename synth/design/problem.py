@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from synth.lmi.central_path import CentralPoint
 
 
+SEEN = 1e-6  # relative: what a table of seven digits shows
 LARGEST_GAIN = 1e5  # of |K_ij| where a search has no bound of its own
 NORM, SAMPLED_NORM, H2_NORM = "norm", "sampled norm", "H2 norm"  # criteria
 TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # methods, in words

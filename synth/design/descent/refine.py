@@ -16,6 +16,7 @@ from models.common.printed import brief, digits, percent
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
+from synth.design.problem import SEEN
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
@@ -23,7 +24,6 @@ WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
 STAGES = 20  # a growth of 2^20; nothing is worth more
 ROUNDS = 60  # of descent within a stage; it usually ends sooner
 GLANCE = 5  # rounds that tell whether there is anything to gain
-SEEN = 1e-6  # relative: what a table of seven digits shows
 
 
 @dataclass(frozen=True, eq=False)
