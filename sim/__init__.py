@@ -29,10 +29,10 @@ except Exception as error:  # a file or a folder of the user's has the name of a
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # what type checkers and editors see
-    from sim.physics.driver import Driver
+    from sim.drive.driver import Driver
+    from sim.drive.response import Response
     from sim.recording.files import record
     from sim.recording.run_records import run_log
-    from sim.response.response import Response
     from sim.runs.by_name import run
     from sim.runs.run import Run, sample_times
     from sim.studies.frequency.identification import identify

@@ -35,7 +35,7 @@ examples:
   roadproof bump --controller I
   roadproof bump --help
 """
-PACKAGES = ("synth", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
+PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
 VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
 

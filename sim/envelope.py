@@ -131,7 +131,7 @@ def _nearest_runs(
     """Runs the cell nearest to an event among those without a predicted one, and the mildest cell of each predicted event."""
     import numpy as np
 
-    from sim.response.regime import END_NAMES
+    from sim.drive.regime import END_NAMES
     from sim.runs.run import run_controllers
     from sim.studies.validity.map_runs import loaded
 

@@ -4,7 +4,7 @@ An actuator with zero control, a bias that is affine in length and speed, and a 
 of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
 a damping ratio.) The suspension's own spring and damper stay, with the part's line at rest; the pieces add the deviation.
 
-A part without such a form has a motor, which `sim.physics.part_steps` controls in every stage of RK4.
+A part without such a form has a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """
 
 from collections.abc import Sequence

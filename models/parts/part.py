@@ -89,7 +89,7 @@ class Limit:
     """Limit at which a part ends the linear regime.
 
     Attributes:
-        end: name of the end, as in `sim.response.regime`.
+        end: name of the end, as in `sim.drive.regime`.
         of: quantity with the limit: deflection or velocity of the suspension, or force beyond the line.
         sign: sign of the side with the limit; 0 for both.
         value: limit of that side, or of the magnitude [m, m/s or N].

@@ -12,7 +12,7 @@ from models.common.command import Parser
 from models.common.errors import InputError
 from sim.campaign import HERE, MOST_RUNS
 from sim.command.road_options import add_exported
-from sim.physics import RUNS_AT_ONCE
+from sim.drive import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
 CHECKS = ("runs", "seed")  # options of --verify, and of all else

@@ -30,7 +30,7 @@ from sim.campaign.store import Store
 from sim.campaign.summary import compare, compared_lines, describe, summarise, trade_off
 from sim.campaign.verify import verify
 from sim.campaign.workers import Rows, cluster, run_batches
-from sim.physics import RUNS_AT_ONCE
+from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.standing import standings_object
 
 FINISHED = "give the folder with the results of a finished campaign"

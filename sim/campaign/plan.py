@@ -18,7 +18,7 @@ from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.samples import Values, with_sample
-from sim.physics.run_blocks import runs_at_once
+from sim.drive.loop import runs_at_once
 from synth.controller.controller import AnyController
 
 LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose

@@ -17,8 +17,8 @@ from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.response.response import Response
+from sim.drive.regime import FLAT, REGIME_ENDS, reached
+from sim.drive.response import Response
 from sim.runs.report import FEW, describe_run, shared
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller

@@ -20,7 +20,7 @@ from models.vehicle.names import logged_variant, named_files, run_without, varia
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.road_options import end_lines, gaps, starts_later
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object

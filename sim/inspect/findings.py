@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.agreement import ROUNDING
 
 HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"

@@ -12,12 +12,12 @@ import numpy as np
 from models.common.errors import InputError
 from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
+from sim.drive.response import Response
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
 from sim.inspect.log import Log, RecordedRun
 from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
 from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
-from sim.response.response import Response
 from sim.runs.agreement import ROUNDING
 from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run

@@ -16,18 +16,18 @@ from models.laws.law_structure import DesignRequest
 from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
 from models.roads.description import described_road
-from models.roads.road import RoadInput
 from models.vehicle.controllers import RESERVED, ControllerEntry
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.names import logged_part
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from models.vehicle.vehicle import kinds as kind_names
+from sim.drive.case import Case
+from sim.drive.driver import RecordedForces, RunDriver
+from sim.drive.response import Response
 from sim.inspect.log import Log, RecordedRun
 from sim.linear.dampers import command_names
-from sim.physics.driver import RecordedForces, RunDriver
-from sim.physics.simulate import simulate
+from sim.observers.recorder import record
 from sim.recording.run_log import MUJOCO
-from sim.response.response import Response
 from sim.runs.forces import read_forces
 from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, with_energy_balance
@@ -124,14 +124,14 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     if not np.array_equal(np.round(time * 1e9), times):
         raise InputError(f"the logged samples do not begin at 0 s, or are not {timestep:g} s apart")
     points = log.attachments[run.claims["road_file"]] if "road_file" in run.claims else None
-    road = RoadInput(vehicle, described_road(run.claim("road"), points), time, "signals" not in log.metadata)
+    road = described_road(run.claim("road"), points)
     driver: RunDriver = controller
     if controller.user_code:
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
-    made = simulate([driver], [road])
-    prediction = replace(predicted(controller, road, made.requested_force[0], MOST_STATES), replayed=driver is not controller)
-    return with_energy_balance(compare_runs([prediction], made), made)[0], made.run(0)
+    (made,) = record([Case(vehicle, driver, road, earlier="signals" not in log.metadata)], time)
+    prediction = replace(predicted(controller, made.input, made.commands, MOST_STATES), replayed=driver is not controller)
+    return with_energy_balance(compare_runs([prediction], [made]), [made])[0], made.response
 
 
 def kept(controller: AnyController) -> tuple[Signal, ...]:

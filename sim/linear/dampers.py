@@ -6,8 +6,8 @@ from models.common.arrays import Array
 from models.parts.damper_range import range_of
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.response.recursion import way_in_step
-from sim.response.response import Response
+from sim.drive.recursion import way_in_step
+from sim.drive.response import Response
 from synth.controller.controller import Controller
 
 MOST_SQUARED = 1e150  # N

@@ -13,9 +13,9 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.laws.linear import static_law
 from models.roads.road import RoadInput
+from sim.drive.response import Response
 from sim.linear.outputs import response_by_name, with_linear_sides
 from sim.linear.sampled_response import acting_on, disturbances, road_forcing
-from sim.response.response import Response
 from synth.controller.loop_of import plant_of
 from synth.plant.loop import HoldInterval, Loop, respond
 

@@ -8,7 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.roads.road import RoadInput
-from sim.response.response import Response
+from sim.drive.response import Response
 from synth.controller.loop_of import HELD, named
 
 if TYPE_CHECKING:

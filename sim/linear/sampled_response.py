@@ -1,7 +1,7 @@
 """The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
 
 Sampled. The controller is held over a step, and so is the road: at its midpoint height, and a measured road at its mean height
-over the step (`RoadInput.midway`), where `sim.physics` puts it. With xi = x - Bw z_r, the state that does not jump when the road
+over the step (`RoadInput.midway`), where `sim.drive` puts it. With xi = x - Bw z_r, the state that does not jump when the road
 does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; held z_r],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
@@ -26,11 +26,6 @@ are Cp g, with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r, 
 Sylvester equation A_G P + P Ap + B Cp = 0, y = x - P g has the road alone on its right, and g is computed apart:
 
     y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
-
-Rounding moves signals whatever the road. MuJoCo holds a vehicle up by lengths of about a metre, rounded to 1e-16 of it, and
-by balanced forces of its whole weight. The error of a signal is the same over a bump of a decimetre and of a micrometre. The
-model of it: every length among the states moves by a few roundings, every velocity by that times the vehicle's fastest rate.
-The outputs follow from the linear model.
 """
 
 import itertools
@@ -43,12 +38,11 @@ from scipy import linalg
 
 from models.common.arrays import Array, recursion
 from models.kinds.signals import kept_signals
-from models.laws.linear import LinearLaw
 from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
 from models.vehicle.vehicle import Vehicle
+from sim.drive.response import Response
 from sim.linear.outputs import forces_ahead, response_by_name, with_linear_sides
-from sim.response.response import Response
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.loop import Loop, respond
 from synth.plant.state_space import StateSpace
@@ -56,53 +50,8 @@ from synth.plant.state_space import StateSpace
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
 
-LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
-LENGTHS = ("m", "rad")
 NODES = 8  # of the quadrature over a step
 WHOLE = 1e-9  # relative: a preview this near to an integer of steps is one
-RATES = 400  # number of frequencies at which a law's gain is evaluated
-
-
-def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, float]:
-    """Bounds the effect of rounding on every output signal [the signal's unit]; without a linear one, under given forces."""
-    model = vehicle.linear_model
-    rate, shaken = _shaken(vehicle)
-    pushed = np.zeros(len(model.inputs))
-    if vehicle.dampers:  # the force of a damper is rounded as its velocity is
-        from sim.linear.dampers import stretching
-
-        pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
-            one.steepest_slope for one in vehicle.parts.adjustable
-        ]
-        pushed *= np.abs(stretching(vehicle)) @ shaken
-    if controller is None or controller.linear is False:
-        return dict(zip(model.outputs, (np.abs(model.C) @ shaken + np.abs(model.D) @ pushed).tolist(), strict=True))
-    gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
-    if controller.law.states:  # its forces may far exceed those of a static gain, and move the states
-        shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
-    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (pushed + gain @ shaken)
-    return dict(zip(model.outputs, moved.tolist(), strict=True))
-
-
-def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
-    """Returns the fastest rate [rad/s], and the effect of rounding on every state, shape (n,)."""
-    model, kind = vehicle.linear_model, vehicle.kind
-    rate = float(np.abs(np.linalg.eigvals(model.A)).max())
-    n = len(model.states) - len(kind.of_parts)
-    shaken = np.array([LENGTH if kind.signal(name).unit in LENGTHS else rate * LENGTH for name in model.states[:n]])
-    return rate, np.concatenate([shaken, np.abs(model.A[n:, :n]) @ shaken / (rate or 1.0)])  # own states of parts in any unit
-
-
-def _most_asked(law: LinearLaw, fastest: float) -> Array:
-    """Returns a law's largest gain on each measurement, at rates up to twice that of the vehicle [rad/s], shape (m, q).
-
-    The lowest rate is a wave of minutes, longer than a run, as the gain of an integrator below it does not matter in a run.
-    """
-    if not law.states:
-        return np.abs(law.D)
-    s = 1j * np.geomspace(1e-4, 2.0, RATES)[:, None, None] * fastest
-    moving = np.linalg.solve(s * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
-    return np.abs(law.C @ moving + law.D).max(axis=0)
 
 
 SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not move within any run, and the step for it would overflow

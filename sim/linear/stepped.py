@@ -32,11 +32,11 @@ from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
+from sim.drive.recursion import SHARES, WEIGHTS, recursion
+from sim.drive.response import Response
 from sim.linear.dampers import damper_signals, stretching
 from sim.linear.linear_motion import lag_rates, suspensions_of
 from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
-from sim.response.recursion import SHARES, WEIGHTS, recursion
-from sim.response.response import Response
 from synth.controller.controller import Controller
 
 

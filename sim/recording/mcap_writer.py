@@ -18,9 +18,9 @@ from mcap.writer import Writer
 from models.common.arrays import Array
 from models.document.figure import rgb, styles
 from models.kinds.signals import Signal
+from sim.drive.response import Response
 from sim.recording.run_log import RunLog
 from sim.recording.scene import largest_force
-from sim.response.response import Response
 
 PACKAGE = "roadproof"
 

@@ -9,8 +9,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import BLACK, OTHERS, STYLES, styles
 from models.kinds.signals import Signal, is_kept
+from sim.drive.response import Response
 from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog
-from sim.response.response import Response
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram

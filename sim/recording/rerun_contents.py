@@ -11,6 +11,8 @@ from models.common.arrays import Array
 from models.document.document import Document, Table, notes, statements
 from models.document.figure import rgb
 from models.document.text import markdown
+from sim.drive.regime import REGIME_ENDS
+from sim.drive.response import Response
 from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_curves, signals_of
 from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (
@@ -28,8 +30,6 @@ from sim.recording.scene import (
     strut_lines,
     tyre_surface,
 )
-from sim.response.regime import REGIME_ENDS
-from sim.response.response import Response
 from sim.runs.steps import WHEN
 from synth.controller.report import NORM
 

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 from models.common.checks import Must
+from sim.drive.response import Response, difference
 from sim.recording.scene import Scene
-from sim.response.response import Response, difference
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram

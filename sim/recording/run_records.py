@@ -20,10 +20,10 @@ from models.kinds.signals import is_kept
 from models.roads.road import Road, RoadInput, delays
 from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
-from sim.physics.run_blocks import DIVERGED
+from sim.drive.loop import DIVERGED
+from sim.drive.response import Response
 from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
-from sim.response.response import Response
 from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
 from sim.runs.run import Run
 from synth.analysis.record import to_record

@@ -8,12 +8,11 @@ import numpy as np
 from models.common.errors import InputError
 from models.document.document import Document, notes
 from models.document.field import Field
-from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import simulate
+from sim.drive.case import Case
+from sim.observers.recorder import record
 from sim.report.scope import AMPLITUDE, Scope
-from sim.response.response import Response
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
 from sim.studies.frequency.worst_case_gain import SETTLED, whole_periods
@@ -95,11 +94,8 @@ def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float
         time = sample_times(vehicle, step * math.log(SETTLED) / math.log(growth) + step * count, step)
     except InputError:  # it takes too many samples
         return math.nan
-    response = simulate(
-        [controller], [RoadInput(vehicle, sinusoid(omega, 12.5).scaled(AMPLITUDE / 2), time)], threads=0
-    ).response.run(0)
-    last = Response(time[-count:], response.signals, response.values[-count:])
-    return settled_gain(vehicle, last, omega)
+    (run,) = record([Case(vehicle, controller, sinusoid(omega, 12.5).scaled(AMPLITUDE / 2))], time)
+    return settled_gain(vehicle, run.response.samples(slice(-count, None)), omega)
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:

@@ -15,9 +15,9 @@ from models.roads.load import Load
 from models.roads.load_choice import choose_load
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
-from models.roads.road import RoadInput
 from models.vehicle.names import PLUS
-from sim.physics.simulate import simulate
+from sim.drive.case import Case
+from sim.observers.recorder import record
 from sim.report.agreement import run_statements
 from sim.report.scope import Scope
 from sim.runs.forces import pushed
@@ -53,10 +53,13 @@ def dives(scope: Scope) -> dict[str, float]:
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
     if PITCH not in angles_of(vehicle) or not controllers:
         return {}
-    given = RoadInput(vehicle, loaded_road((choose_load(BRAKE),)), sample_times(vehicle, BRAKED, scope.map_timestep))
-    physics = simulate(controllers, [given] * len(controllers), threads=0)
-    whole = [i for i in range(len(controllers)) if math.isinf(physics.diverged[i])]
-    return {controllers[i].name: measure(vehicle, physics.response.run(i), 0, loaded=True)[f"{PITCH}_dive"] for i in whole}
+    road, time = loaded_road((choose_load(BRAKE),)), sample_times(vehicle, BRAKED, scope.map_timestep)
+    runs = record([Case(vehicle, each, road) for each in controllers], time, threads=0)
+    return {
+        controller.name: measure(vehicle, run.response, 0, loaded=True)[f"{PITCH}_dive"]
+        for controller, run in zip(controllers, runs, strict=True)
+        if math.isinf(run.diverged)
+    }
 
 
 def loads_section(scope: Scope) -> Document:

@@ -15,10 +15,11 @@ from models.document.reading import Pivot
 from models.document.text import joined
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
-from models.roads.road import RoadInput, track_width
+from models.roads.road import track_width
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import simulate
-from sim.response.regime import FLAT, REGIME_ENDS, reached
+from sim.drive.case import Case
+from sim.drive.regime import FLAT, REGIME_ENDS, reached
+from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
@@ -158,11 +159,13 @@ class OverRoads:
         length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
         self.roads = [Iso8608(name, seed, SPEED, width, length) for name in self.classes for seed in SEEDS]
         count = len(self.roads)
-        self.physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in self.roads])
-        response = self.physics.response
-        self.ended = np.minimum(self.physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
+        runs = record([Case(vehicle, controller, road) for road in self.roads], time)
+        values = np.stack([one.response.values[:, : len(vehicle.kind.signals)] for one in runs], axis=2)
+        flat = [reached(vehicle, one.response)[REGIME_ENDS.index(FLAT)] for one in runs]
+        self.ended = np.minimum([one.diverged for one in runs], flat)
+        self.ran_away = np.array([one.response.ran_away for one in runs])
         meter = Meter([vehicle] * count, float(time[1]), round(start / timestep))
-        meter.update(np.moveaxis(response.values, 0, 2))
+        meter.update(values)
         self.found = meter.result()
 
     def standing(self) -> Standing:
@@ -194,7 +197,7 @@ class OverRoads:
             lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():
-                broken = f"flat{', diverged or of an overflowing law' if self.physics.ran_away[runs].any() else ' or diverged'}"
+                broken = f"flat{', diverged or of an overflowing law' if self.ran_away[runs].any() else ' or diverged'}"
                 events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
             for name, unit in metrics:
                 measured = float(np.sqrt(np.mean(some[name] ** 2))) if through.any() else math.nan

@@ -12,9 +12,9 @@ from models.document.figure import Bars, Figure, Panel, styles
 from models.document.reading import Pivot
 from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
+from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
 from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
-from sim.response.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
 from sim.runs.steps import WHEN

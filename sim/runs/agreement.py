@@ -10,28 +10,29 @@ A run agrees if two local checks hold:
 Its trajectory then is that of the equations and the law. The distance from the linear response is a measurement, with a cause:
 the integrator, geometry, noise, or an event that ends the linear regime.
 
-One comparison with the linear response remains a check, for loops that are exactly linear until that event: MuJoCo must follow
-the exact response of the sampled loop to within RK4's own error. RK4 is the matrix exponential's Taylor polynomial of degree 4.
-With characteristics the response of the sampled loop is that of RK4, and RK4's own error is estimated (`SteppedRuns.finer`).
+Linear analysis applies to such a run because the equations are linear until that event, or nearly. The distance is computed when
+it is asked for (`LinearComparison`), and the verdict does not need it.
 
 A vehicle type that rotates and has no equations of motion is compared to first order: the same road is driven at `SMALL` of its
 height, where the relative difference from the linear response must have fallen by the same factor.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from models.document.document import Document
 from models.document.text import Shown, facts
+from models.kinds.kind import MOST_SQUEEZE
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import roundings
-from sim.physics.simulate import Commanded
-from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
-from sim.response.response import Response
+from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
+from sim.drive.response import Response
+from sim.linear.rounding import effect_on_states, roundings
+from sim.observers.recorder import Recording
 from sim.runs.code_effect import CodeEffect
 from sim.runs.commands import CommandAgreement, compare_commands
 from sim.runs.prediction import Prediction
@@ -75,31 +76,95 @@ class SignalAgreement:
         return not self.excess > 1
 
 
+@dataclass(frozen=True, eq=False)
+class LinearComparison:
+    """Differences of a run from its linear responses, while linear analysis applies.
+
+    Attributes:
+        prediction: linear responses of the run.
+        physics: response of MuJoCo.
+        until: time before which linear analysis applies [s]; infinite for all of the run.
+        small: response of MuJoCo over `SMALL` of the road's height, to which the linear responses are proportional; None without.
+    """
+
+    prediction: Prediction
+    physics: Response
+    until: float
+    small: Response | None = None
+
+    @property
+    def cause(self) -> str:
+        """Largest cause of the differences, in words."""
+        own = "rounding" if self.prediction.vehicle.parts.nonlinear and self.prediction.is_linear else "RK4's own error"
+        return self.prediction.cause or own
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    def signals(self) -> Mapping[str, SignalAgreement]:
+        """Differences of each output signal, by name."""
+        prediction, signals = self.prediction, dict[str, SignalAgreement]()
+        responses = (self.physics, prediction.sampled, prediction.continuous)
+        physics, sampled, continuous = (one.until(self.until) for one in responses)
+        linear = not prediction.cause and prediction.radius <= 1
+        for name, rounded in roundings(prediction.vehicle, prediction.controller).items():
+            scale = _scale(sampled if prediction.is_linear else physics, name)
+            allowed = SLACK * self._own_errors[name] + ROUNDING + rounded / scale if linear else math.nan
+            apart = _difference(physics, sampled, name), _difference(physics, continuous, name)
+            signals[name] = SignalAgreement(*apart, allowed, scale)
+        return signals if self.small is None else self._to_first_order(signals, sampled, self.small.until(self.until))
+
+    @property
+    def agrees(self) -> bool:
+        """Returns False if an exactly linear run leaves its sampled response by more than RK4 does, else True."""
+        return all(signal.agrees for signal in self.signals.values())
+
+    @property
+    def coarse(self) -> bool:
+        """Returns True if RK4's own error on the linear response is larger than `COARSEST`."""
+        rate, _ = effect_on_states(self.prediction.vehicle)
+        # RK4 turns exp(z) into a polynomial that differs by z^5 / 120, at each of the steps.
+        most = rate * float(self.prediction.time[-1]) * (rate * self.prediction.timestep) ** 4 / 120
+        return most > COARSEST / 4 and any(error > COARSEST for error in self._own_errors.values())
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    def _own_errors(self) -> dict[str, float]:
+        """Returns RK4's own error of each signal, over the peak of the response without that error."""
+        exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer
+        integrated, exact = self.prediction.integrated.until(self.until), exact.until(self.until)
+        return {name: _difference(integrated, exact, name) for name in self.prediction.vehicle.linear_model.outputs}
+
+    def _to_first_order(
+        self, signals: Mapping[str, SignalAgreement], sampled: Response, physics: Response
+    ) -> dict[str, SignalAgreement]:
+        """Adds the differences at `SMALL` of the road's height, for a vehicle type that rotates without equations of motion."""
+        smaller = Response(sampled.time, sampled.signals, SMALL * sampled.values)
+        rounding, done = roundings(self.prediction.vehicle, None), dict[str, SignalAgreement]()
+        for name, signal in signals.items():
+            allowed = SLACK * self._own_errors[name] + ROUNDING + rounding[name] / _scale(smaller, name)
+            done[name] = replace(signal, small=_difference(physics, smaller, name), allowed=allowed)
+        return done
+
+
 @dataclass(frozen=True, repr=False)
 class Agreement(Shown):
     """The verdict on one run.
 
     Attributes:
-        signals: differences of each output signal from linear analysis, by name.
         lift_off: intervals [s] in which a tyre is off the ground.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
-        until: time before which linear analysis applies [s]; infinite for all of the run.
-        cause: largest cause of the differences from linear analysis, in words.
+        linear: differences from linear analysis, while that applies.
         steps: steps against the vehicle's exact equations, also after `until`; None for a vehicle type without them.
         commands: commands against the control law; None if they are not known, as in the log of a law in Python.
         code_effect: difference of exported code from the law, which must be small; None without such code.
-        coarse: True if RK4's own error on the linear response is larger than `COARSEST`.
     """
 
-    signals: Mapping[str, SignalAgreement]
     lift_off: tuple[tuple[float, float], ...]
     ended: Mapping[str, float]
-    until: float
-    cause: str
+    linear: LinearComparison
     steps: StepAgreement | None = None
     commands: CommandAgreement | None = None
     code_effect: CodeEffect | None = None
-    coarse: bool = False
 
     @property
     def shown(self) -> Document:
@@ -107,6 +172,26 @@ class Agreement(Shown):
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
+
+    @property
+    def signals(self) -> Mapping[str, SignalAgreement]:
+        """Differences of each output signal from linear analysis, by name."""
+        return self.linear.signals
+
+    @property
+    def until(self) -> float:
+        """Time before which linear analysis applies [s]; infinite for all of the run."""
+        return self.linear.until
+
+    @property
+    def cause(self) -> str:
+        """Largest cause of the differences from linear analysis, in words."""
+        return self.linear.cause
+
+    @property
+    def coarse(self) -> bool:
+        """Returns True if the timestep is too coarse for accurate numbers, by RK4's own error on the linear response."""
+        return self.linear.coarse
 
     @property
     def agrees(self) -> bool:
@@ -117,8 +202,8 @@ class Agreement(Shown):
 
     @property
     def follows_linear(self) -> bool:
-        """Returns False if an exactly linear run leaves its sampled response by more than RK4 does, else True."""
-        return all(signal.agrees for signal in self.signals.values())
+        """Returns False if a run whose steps cannot be checked leaves its linear response, else True."""
+        return self.steps is not None or self.linear.agrees
 
     @property
     def lost(self) -> bool:
@@ -126,81 +211,39 @@ class Agreement(Shown):
         return self.steps is not None and self.steps.lost and self.steps.until == self.until
 
 
-def compare(prediction: Prediction, physics: Response, commanded: Commanded | None = None) -> Agreement:
+def compare(prediction: Prediction, recording: Recording) -> Agreement:
     """Returns the verdict on one run of MuJoCo.
 
     Args:
         prediction: linear responses of the run.
-        commanded: measurements and commands of its controller; None if they are unknown, which leaves linear analysis alone.
+        recording: the run.
     """
-    vehicle, road, diverged = prediction.vehicle, prediction.input, physics.diverged
-    sampled, continuous = prediction.sampled, prediction.continuous
+    vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, reached(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
-    if prediction.is_linear:
-        foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
+    if prediction.is_linear and _passes_through(vehicle, physics):
+        foretold = dict(zip(END_NAMES, reached(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
             ended[FLAT.name] = until = foretold
-    lift_off = lift_off_intervals(vehicle, physics)
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
-    if commanded is not None:
-        if (motion := motion_of(vehicle)) is not None:
-            end = min(ended[FLAT.name], diverged)
-            if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
-                end = min(end, ended[LIFT_OFF.name], loose)
-            steps = compare_steps(motion, road, physics, commanded, end, rounding)
-            if steps.lost:
-                until = min(until, steps.until)
-        if not prediction.replayed:
-            commands = compare_commands(prediction.controller, road, from_steady(road, physics), commanded, diverged)
-    physics, sampled, continuous = (r.until(until) for r in (physics, sampled, continuous))
-    own_errors = _own_errors(prediction, until, rounding)
-    cause, signals, coarse = prediction.cause, {}, False
-    for name, rounded in rounding.items():
-        scale = _scale(sampled if prediction.is_linear else physics, name)
-        own = own_errors[name]
-        coarse |= own > COARSEST
-        allowed = SLACK * own + ROUNDING + rounded / scale if not cause and prediction.radius <= 1 else math.nan
-        signals[name] = SignalAgreement(
-            _difference(physics, sampled, name), _difference(physics, continuous, name), allowed, scale
-        )
-    return Agreement(
-        signals,
-        lift_off,
-        ended,
-        until,
-        cause or ("RK4's own error" if prediction.finer is None else "rounding"),
-        steps=steps,
-        commands=commands,
-        code_effect=prediction.code_effect,
-        coarse=coarse,
-    )
+    if (motion := motion_of(vehicle)) is not None:
+        end = min(ended[FLAT.name], diverged)
+        if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
+            end = min(end, ended[LIFT_OFF.name], loose)
+        steps = compare_steps(motion, road, recording, end, rounding)
+        if steps.lost:
+            until = min(until, steps.until)
+    if not prediction.replayed:
+        commands = compare_commands(prediction.controller, road, recording)
+    linear = LinearComparison(prediction, physics, until)
+    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, prediction.code_effect)
 
 
-def to_first_order(agreement: Agreement, prediction: Prediction, physics: Response) -> Agreement:
-    """Adds the differences at `SMALL` of the road's height, for a vehicle type that rotates without equations of motion.
-
-    Args:
-        prediction: prediction of the run over the whole road, to which the linear responses are proportional.
-        physics: response of MuJoCo over `SMALL` of it.
-    """
-    physics, sampled = (one.until(agreement.until) for one in (physics, prediction.sampled))
-    smaller, rounding = Response(sampled.time, sampled.signals, SMALL * sampled.values), roundings(prediction.vehicle, None)
-    own_errors, signals = _own_errors(prediction, agreement.until, agreement.signals), {}
-    for name, signal in agreement.signals.items():
-        scale = _scale(smaller, name)
-        allowed = SLACK * own_errors[name] + ROUNDING + rounding[name] / scale
-        signals[name] = replace(signal, small=_difference(physics, smaller, name), allowed=allowed)
-    return replace(agreement, signals=signals)
-
-
-def _own_errors(prediction: Prediction, until: float, names: Iterable[str]) -> dict[str, float]:
-    """Returns RK4's own error of each signal before a time [s], over the peak of the response without that error."""
-    exact = prediction.sampled if prediction.finer is None else prediction.finer
-    integrated, exact = prediction.integrated.until(until), exact.until(until)
-    return {name: _difference(integrated, exact, name) for name in names}
+def _passes_through(vehicle: Vehicle, physics: Response) -> bool:
+    """Returns True if a tyre reads so long or short that a hub may have been through the road between two samples."""
+    return any(np.abs(physics[wheel.tyre_deflection]).max(initial=0.0) > MOST_SQUEEZE / 2 for wheel in vehicle.kind.wheels)
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:

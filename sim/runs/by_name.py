@@ -10,7 +10,7 @@ from models.laws.python_law import of_function
 from models.roads.road import Road
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from sim.physics.driver import Driver
+from sim.drive.driver import Driver
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import AnyController, check_fits
 from synth.vehicle.designer import Designer

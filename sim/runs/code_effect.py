@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.steps import DIFFERENCE
 from synth.controller.controller import AnyController
 

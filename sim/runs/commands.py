@@ -16,14 +16,13 @@ from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import CommandLimiter, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
+from sim.drive.actuators import closing_names
+from sim.drive.computer import driver_of, implementation_around, measurement_noise
+from sim.drive.driver import steps_ahead
 from sim.linear.outputs import forces_ahead
-from sim.linear.sampled_response import roundings
-from sim.physics.actuators import closing_names
-from sim.physics.computer import driver_of, implementation_around, measurement_noise
-from sim.physics.driver import steps_ahead
-from sim.physics.simulate import Commanded
-from sim.response.response import Response
-from sim.runs.steps import LocalAgreement
+from sim.linear.rounding import roundings
+from sim.observers.recorder import Recording
+from sim.runs.steps import LocalAgreement, from_steady
 from synth.controller.controller import AnyController, Controller
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
@@ -66,36 +65,35 @@ class _Samples:
     states: Array
 
 
-def compare_commands(
-    controller: AnyController, road: RoadInput, physics: Response, commanded: Commanded, until: float
-) -> CommandAgreement:
-    """Returns the comparison of a run's commands with its control law, for the samples before a time [s].
+def compare_commands(controller: AnyController, road: RoadInput, recording: Recording) -> CommandAgreement:
+    """Returns the comparison of a run's commands with its control law, until the run diverges.
 
     Args:
-        physics: the run, measured from the steady motion in which its vehicle starts.
+        controller, road: controller, vehicle and road that the run is said to have.
+        recording: the run.
     """
     vehicle, h = road.vehicle, road.timestep
     how = implementation_around(controller, vehicle)
     period, coded = steps_per_sample(how, h), controller.code is not None
-    count = int(np.searchsorted(road.time, min(until, physics.diverged)))
+    count = int(np.searchsorted(road.time, recording.diverged))
     due, outputs = np.arange(0, count, period), vehicle.linear_model.outputs
     noise = measurement_noise([how], (*outputs, *[""] * len(closing_names(vehicle))), len(road.time))
     columns = []
     for name in controller.measured:
-        seen = commanded.measured[name][due]
+        seen = recording.measured[name][due]
         if len(noise):
             seen = seen + noise[due, 0, outputs.index(name)]
         if not coded and (step := how.quantisation.get(name)):
             seen = step * np.round(seen / step)
         columns.append(seen)
-    closing = [commanded.measured[name][due] for name in closing_names(vehicle)]
+    closing = [recording.measured[name][due] for name in closing_names(vehicle)]
     y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
-    samples = _Samples(due, period, y, velocities, commanded.states[due] / controller.state_scale(period * h))
+    samples = _Samples(due, period, y, velocities, recording.law_states[due] / controller.state_scale(period * h))
     late = 0 if coded else round(how.delay * period)
-    readings = [*_readings(controller, road, physics, commanded, due)]
+    readings = [*_readings(controller, road, recording, due)]
 
     def answer() -> list[Difference]:
-        return [*_commands(controller, road, samples, commanded, count, late)]
+        return [*_commands(controller, road, samples, recording, count, late)]
 
     result = _worst([*readings, *answer()], vehicle)
     if result.agrees or not controller.serial:
@@ -124,20 +122,19 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
     return CommandAgreement(worst.error, worst.allowed, worst.signal, since)
 
 
-def _readings(
-    controller: AnyController, road: RoadInput, physics: Response, commanded: Commanded, due: Array
-) -> Iterator[Difference]:
+def _readings(controller: AnyController, road: RoadInput, recording: Recording, due: Array) -> Iterator[Difference]:
     """Yields the differences of measurements from the run's signals at the samples.
 
     An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.runs.steps`).
     """
+    physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)
     D, Dh = road.vehicle.linear_model.D, road.vehicle.linear_model.Dh
     for name in controller.measured:
         row = road.vehicle.linear_model.outputs.index(name)
         if not (D[row].any() or Dh[row].any()):
             scale = physics.scale(name) or 1.0
-            far = np.abs(commanded.measured[name][due] - physics[name][due]) / scale
+            far = np.abs(recording.measured[name][due] - physics[name][due]) / scale
             yield name, road.time[due], far, np.full(len(due), EXACT + rounded[name] / scale)
     if road.vehicle.dampers:
         from sim.linear.dampers import closing_velocities
@@ -145,12 +142,12 @@ def _readings(
         closing = closing_velocities(road.vehicle, physics.samples(due))
         for name, expected in zip(closing_names(road.vehicle), closing.T, strict=True):
             scale = float(np.abs(expected).max(initial=0.0)) or 1.0
-            far = np.abs(commanded.measured[name][due] - expected) / scale
+            far = np.abs(recording.measured[name][due] - expected) / scale
             yield name, road.time[due], far, np.full(len(due), SPEED * (1 + 1 / scale))
 
 
 def _commands(
-    controller: AnyController, road: RoadInput, samples: _Samples, commanded: Commanded, count: int, late: int
+    controller: AnyController, road: RoadInput, samples: _Samples, recording: Recording, count: int, late: int
 ) -> Iterator[Difference]:
     """Yields the differences of commands, and of the states of a linear law, from the law's."""
     vehicle, times = road.vehicle, road.time[:count]
@@ -158,7 +155,7 @@ def _commands(
     names = (*inputs, *(f"missing {name}" for name in inputs))
     arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
     after, limiter = None, command_limiter([vehicle], road.timestep)
-    logged = commanded.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
+    logged = recording.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
     if controller.user_code is True or controller.code is not None:
         computed = _again(controller, road, samples)
         if limiter is not None and driver_of([controller]).requests != "commands":
@@ -171,7 +168,7 @@ def _commands(
     for j in range(computed.shape[1]):
         expected, slack = (np.where(arrived >= 0, one[np.maximum(arrived, 0), j], 0.0) for one in (computed, allowed))
         scale = float(np.abs(expected).max(initial=0.0)) or 1.0
-        yield names[j], times, np.abs(commanded.commands[:count, j] - expected) / scale, np.maximum(slack / scale, EXACT)
+        yield names[j], times, np.abs(recording.commands[:count, j] - expected) / scale, np.maximum(slack / scale, EXACT)
     if after is not None:
         for i, (expected, slack) in enumerate(zip(*(one.T for one in after), strict=True)):
             scale = float(np.abs(expected).max(initial=0.0)) or 1.0

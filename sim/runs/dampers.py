@@ -8,9 +8,9 @@ import numpy as np
 from models.parts.damper_range import range_of
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
+from sim.drive.regime import MISSED
+from sim.drive.response import Response
 from sim.linear.dampers import closing_velocities, commands_of, squarable
-from sim.response.regime import MISSED
-from sim.response.response import Response
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from models.kinds.signals import Signal
 from models.parts.damper_range import range_of
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.response.response import Response
+from sim.drive.response import Response
 
 if TYPE_CHECKING:
     from models.parts.part import SettablePart, SuspensionPart

@@ -12,7 +12,7 @@ from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
-from sim.response.response import Response
+from sim.drive.response import Response
 
 
 def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:

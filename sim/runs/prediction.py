@@ -5,7 +5,6 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -16,9 +15,9 @@ from models.common.arrays import Array
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
+from sim.drive.response import Response
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
-from sim.response.response import Response
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
@@ -31,36 +30,97 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Linear responses of one run.
+    """Linear responses of one run from rest, each computed when it is first needed.
 
     For a law in Python they are the vehicle's responses to the forces that it requested: linear analysis does not cover the law.
+    A run whose controller sets adjustable dampers is not linear, and has no response. A linear law then has the continuous
+    response that it would have if all its forces were given.
 
     Attributes:
         input: the vehicle, with the limits and implementation of this run, and its road.
         controller: controller of the run.
-        sampled: response of the sampled loop: exact if that is linear; with characteristics that of RK4. NaN if a law switches
-            adjustable dampers, which is not linear.
-        integrated: the same as RK4 makes it.
-        continuous: exact linear response of the continuous closed loop; NaN if the law is not linear.
-        radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
-        requested_force: commands of a law in Python, see `sim.physics.actuators`, shape (T, m) or (T, 2 m); empty for others.
-        loop: the linear loop in continuous time, or None.
+        requested_force: commands of a law in Python, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for others.
         code_effect: measured difference of exported code from the law, or None without such code.
         replayed: True if the law in Python is not run, and its commands come from a log.
-        finer: `sampled` without RK4's own error, as estimated; None if it has no such error.
+        most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
     """
 
     input: RoadInput
     controller: AnyController
-    sampled: Response
-    integrated: Response
-    continuous: Response
-    radius: float = math.nan
     requested_force: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    loop: Loop | None = None
     code_effect: "CodeEffect | None" = None
     replayed: bool = False
-    finer: Response | None = None
+    most_states: float = math.inf
+
+    @property
+    def sampled(self) -> Response:
+        """Response of the sampled loop: exact if that is linear; with characteristics that of RK4. NaN if a law switches
+        adjustable dampers, which is not linear.
+        """
+        return self._sampled[0]
+
+    @property
+    def integrated(self) -> Response:
+        """The same as RK4 makes it."""
+        return self._sampled[1]
+
+    @property
+    def finer(self) -> Response | None:
+        """`sampled` without RK4's own error, as estimated; None if it has no such error."""
+        return self._sampled[2]
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    def continuous(self) -> Response:
+        """Exact linear response of the continuous closed loop; NaN if the law is not linear."""
+        if self.controller.linear is True:
+            return continuous_response(self.controller, self.input)
+        if not self.is_linear:
+            return self._nothing
+        from sim.linear.forced_response import forced_continuous_response
+
+        return forced_continuous_response(self.requested_force, self.input)
+
+    @cached_property
+    def radius(self) -> float:
+        """Growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear."""
+        if not self.is_linear or self.controller.linear is not True:
+            return math.nan
+        loop = loop_of(self.vehicle, self.controller, self.timestep)
+        return radius(loop) if len(loop.open_loop.A) <= self.most_states else math.nan
+
+    @cached_property
+    def loop(self) -> Loop | None:
+        """The linear loop in continuous time, or None."""
+        linear = self.is_linear and self.controller.linear is True
+        return loop_of(self.vehicle, self.controller) if linear else None
+
+    @cached_property
+    @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
+    def _sampled(self) -> tuple[Response, Response, Response | None]:
+        """Returns `sampled`, `integrated` and `finer`."""
+        controller, road, linear = self.controller, self.input, self.controller.linear is True
+        if not self.is_linear:
+            states = self.continuous.signals[len(self._nothing.signals) :]
+            nothing = self._nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
+            return nothing, nothing, None
+        if self.vehicle.parts.nonlinear:
+            from sim.linear.stepped import forced, stepped
+
+            runs = stepped([controller], [road]) if controller.linear is True else forced(self.requested_force, road)
+            return runs.single, runs.single, runs.finer.run(0)
+        if linear:
+            respond = partial(sampled_response, controller, road)
+        else:
+            from sim.linear.forced_response import forced_response
+
+            respond = partial(forced_response, self.requested_force, road)
+        return respond(), respond(exponential=taylor4), None
+
+    @property
+    def _nothing(self) -> Response:
+        signals = self.vehicle.kind.signals
+        return Response(self.time, signals, np.full((len(self.time), len(signals)), np.nan))
 
     @property
     def vehicle(self) -> Vehicle:
@@ -84,8 +144,8 @@ class Prediction:
 
     @property
     def is_linear(self) -> bool:
-        """Returns True if there is a sampled response."""
-        return _has_response(self.vehicle, self.controller)
+        """Returns True if there is a sampled response: the dampers are not adjusted."""
+        return not self.vehicle.dampers or not self.controller.acts
 
     @property
     def reference(self) -> str:
@@ -129,69 +189,12 @@ class Prediction:
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
-def predict(controller: Controller, road: RoadInput, most_states: float = math.inf) -> Prediction:
-    """Returns the prediction of one run of a linear loop, from rest.
-
-    Args:
-        controller: linear controller of the road's vehicle.
-        most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
-    """
-    loop = loop_of(road.vehicle, controller, road.timestep)
-    small = len(loop.open_loop.A) <= most_states
-    sampled, integrated, finer = _sampled(road, partial(sampled_response, controller, road), controller)
-    return Prediction(
-        input=road,
-        controller=controller,
-        sampled=sampled,
-        integrated=integrated,
-        finer=finer,
-        continuous=continuous_response(controller, road),
-        radius=radius(loop) if small else math.nan,
-        loop=loop_of(road.vehicle, controller),
-    )
-
-
 def predicted(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
-    """Returns the prediction of one run from rest, whatever its controller.
-
-    For a law in Python it has the responses to the commands. A run whose controller sets adjustable dampers is not linear, and
-    has no response; a linear law then has the continuous response that it would have if all its forces were given.
+    """Returns the prediction of one run from rest.
 
     Args:
-        commands: commands of the actuators in the run, see `sim.physics.actuators`, shape (T, m) or (T, 2 m).
-        most_states: see `predict`.
+        commands: commands of the actuators in the run, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
+        most_states: see `Prediction`.
     """
     requested = commands if controller.user_code else np.zeros((0, 0))
-    if not _has_response(road.vehicle, controller):
-        signals = road.vehicle.kind.signals
-        nothing = continuous = Response(road.time, signals, np.full((len(road.time), len(signals)), np.nan))
-        if controller.linear is True:
-            continuous = continuous_response(controller, road)
-            states = continuous.signals[len(signals) :]
-            nothing = nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
-        return Prediction(road, controller, nothing, nothing, continuous, requested_force=requested)
-    if controller.linear is True:
-        return predict(controller, road, most_states)
-    from sim.linear.forced_response import forced_continuous_response, forced_response
-
-    sampled, integrated, finer = _sampled(road, partial(forced_response, commands, road), commands)
-    continuous = forced_continuous_response(commands, road)
-    return Prediction(road, controller, sampled, integrated, continuous, requested_force=requested, finer=finer)
-
-
-def _sampled(
-    road: RoadInput, linear: Callable[..., Response], driver: Controller | Array
-) -> tuple[Response, Response, Response | None]:
-    """Returns `sampled`, `integrated` and `finer` of a prediction, of a controller or of known commands."""
-    if not road.vehicle.parts.nonlinear:
-        return linear(), linear(exponential=taylor4), None
-    from sim.linear.stepped import forced, stepped
-
-    runs = forced(driver, road) if isinstance(driver, np.ndarray) else stepped([driver], [road])
-    response = runs.single
-    return response, response, runs.finer.run(0)
-
-
-def _has_response(vehicle: Vehicle, controller: AnyController) -> bool:
-    """Returns True if there is an exact sampled response: the dampers are not adjusted."""
-    return not vehicle.dampers or not controller.acts
+    return Prediction(road, controller, requested, most_states=most_states)

@@ -18,8 +18,7 @@ from models.document.field import Detail, Field, json_object
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import Vehicle
-from sim.physics.energy import JOULES, Energy
-from sim.response.regime import (
+from sim.drive.regime import (
     BUMP_STOP,
     COMMAND_LIMITED,
     CURVE,
@@ -33,7 +32,8 @@ from sim.response.regime import (
     broken_by,
     departures,
 )
-from sim.response.response import Response
+from sim.drive.response import Response
+from sim.observers.energy import JOULES, Energy
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult

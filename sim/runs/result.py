@@ -10,9 +10,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
-from sim.physics.energy import Energy
-from sim.response.regime import FLAT, broken_by
-from sim.response.response import Response
+from sim.drive.regime import FLAT, broken_by
+from sim.drive.response import Response
+from sim.observers.energy import Energy
 from sim.runs.agreement import Agreement
 from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController

@@ -14,17 +14,18 @@ from models.common.plausibility import remarks
 from models.document.document import Block, Document
 from models.document.figure import BLUE, Figure, Style
 from models.document.text import Shown, facts
-from models.roads.road import Road, RoadInput
+from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
 from models.vehicle.sections import known_quantities
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
+from sim.drive.regime import FLAT
+from sim.drive.response import Response
 from sim.linear.sampled_response import largest_timestep
-from sim.physics.energy import energy
-from sim.physics.simulate import PhysicsRuns, simulate
-from sim.response.regime import FLAT
-from sim.response.response import Response
-from sim.runs.agreement import SMALL, compare, to_first_order
+from sim.observers.energy import energy
+from sim.observers.recorder import Recording, record
+from sim.runs.agreement import SMALL, compare
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
 from sim.runs.report import signal_table, verdict
@@ -32,7 +33,7 @@ from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
-    from sim.physics.driver import RunDriver
+    from sim.drive.driver import RunDriver
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
@@ -125,27 +126,21 @@ def run_controllers(
         time: equidistant sample times from 0 [s], see `sample_times`.
         balanced: False leaves out positions, energy and the change by half the step.
     """
-    own = {id(one): one for one in (vehicle.driven_by(each.name) for each in controllers)}
-    if {*own} != {id(vehicle)}:  # some drive other actuators than those of the vehicle
-        done: dict[int, Run] = {}
-        for one in own.values():
-            mine = [each for each in controllers if vehicle.driven_by(each.name) is one]
-            done |= zip(map(id, mine), run_controllers(one, mine, road, time, balanced), strict=True)
-        return [done[id(each)] for each in controllers]
-    on = RoadInput(vehicle, road, time)
-    physics = simulate(controllers, [on] * len(controllers))
-    predictions = [predicted(each, on, physics.requested_force[i]) for i, each in enumerate(controllers)]
-    runs = compare_runs(predictions, physics)
-    return with_energy_balance(runs, physics) if balanced else runs
+    recordings = record([Case(vehicle.driven_by(one.name), one, road) for one in controllers], time)
+    runs = compare_runs([predicted(one.driver, one.input, one.commands) for one in recordings], recordings)
+    return with_energy_balance(runs, recordings) if balanced else runs
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
     """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
     made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
-    return simulate([design(PASSIVE)], [runs[0].prediction.input]).run(0) if made is None else made
+    if made is not None:
+        return made
+    (passive,) = record([Case(runs[0].vehicle, design(PASSIVE), runs[0].road)], runs[0].prediction.time)
+    return passive.response
 
 
-def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> list[Run]:
+def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> list[Run]:
     """Returns the verdicts on some runs.
 
     A run with exported code is also compared with the run of the law itself, and one of a vehicle type that rotates without
@@ -153,13 +148,11 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
 
     Args:
         predictions: predictions over the same sample times, for vehicles of the same type.
-        physics: the runs.
+        recordings: the runs.
     """
-    predictions = _with_code_effects(predictions, physics)
-    runs = []
-    for i, prediction in enumerate(predictions):
-        response = physics.run(i)
-        runs.append(Run(prediction, response, compare(prediction, response, physics.commanded(i))))
+    predictions = _with_code_effects(predictions, recordings)
+    pairs = zip(predictions, recordings, strict=True)
+    runs = [Run(prediction, recording.response, compare(prediction, recording)) for prediction, recording in pairs]
     unknown = [
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
@@ -171,59 +164,60 @@ def compare_runs(predictions: Sequence[Prediction], physics: PhysicsRuns) -> lis
             SMALL,
         )
         for k, i in enumerate(unknown):
-            agreement = to_first_order(runs[i].agreement, runs[i].prediction, made.run(k))
-            runs[i] = replace(runs[i], agreement=agreement)
+            agreement = runs[i].agreement
+            linear = replace(agreement.linear, small=made[k].response)
+            runs[i] = replace(runs[i], agreement=replace(agreement, linear=linear))
     return runs
 
 
-def _with_code_effects(predictions: Sequence[Prediction], physics: PhysicsRuns) -> Sequence[Prediction]:
+def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> Sequence[Prediction]:
     """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
     coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
         return predictions
     ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
-    made, whole = simulate([one.controller for one in ours], [one.input for one in ours]), list(predictions)
+    cases = [Case(one.vehicle, one.controller, one.road, earlier=one.input.earlier) for one in ours]
+    made, whole = record(cases, predictions[0].time), list(predictions)
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
-        effect = code_effect(one.controller, physics.run(i), law_run.physics, names, until, law_run.agreement.agrees)
+        effect = code_effect(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
         whole[i] = replace(one, code_effect=effect)
     return whole
 
 
-def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
+def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
     A run that leaves more energy over than is usual is driven at half the step, too. A noisy run then repeats its commands.
 
     Args:
         runs: runs over the same sample times, with vehicles of the same type.
-        physics: the same runs with their states.
+        recordings: the same runs with their states.
     """
     runs = [
-        replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
-        for i, run in enumerate(runs)
+        replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.ended[FLAT.name]))
+        for run, one in zip(runs, recordings, strict=True)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.prediction.varies]
     doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful]
     if halved := sorted({*lifted, *doubtful}):
         timestep = runs[0].prediction.timestep
-        again = [replace(runs[i].prediction, requested_force=physics.requested_force[i]) for i in halved]
+        again = [replace(runs[i].prediction, requested_force=recordings[i].commands) for i in halved]
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
         finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
             if balance is not None and balance.doubtful:
-                on = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves, run.prediction.input.earlier)
-                balance = balance.beside(energy(finer, k, on, until=run.agreement.ended[FLAT.name]))
-            half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
+                balance = balance.beside(energy(finer[k], until=run.agreement.ended[FLAT.name]))
+            half_step = _half_step(run, finer[k].response) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
 
 
 def _simulated(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
-) -> PhysicsRuns:
+) -> list[Recording]:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
     Vehicles and roads that runs share remain shared. The commands of a law in Python, or of a noisy run, are replayed. Over a
@@ -231,8 +225,13 @@ def _simulated(
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
-    inputs = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time, each.input.earlier) for each in predictions]
-    return simulate([driver_again(each, time, share) for each in predictions], inputs)
+    return record(
+        [
+            Case(vehicles[id(one.vehicle)], driver_again(one, time, share), roads[id(one.road)], earlier=one.input.earlier)
+            for one in predictions
+        ],
+        time,
+    )
 
 
 def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
@@ -245,7 +244,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
     if not prediction.controller.user_code and (share != 1 or not prediction.varies):
         return prediction.controller
     steps = round(prediction.timestep / float(time[1]))
-    from sim.physics.driver import RecordedForces
+    from sim.drive.driver import RecordedForces
 
     return RecordedForces(
         prediction.controller.measured, share * np.repeat(prediction.requested_force, steps, axis=0)[: len(time)]

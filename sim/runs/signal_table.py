@@ -7,7 +7,7 @@ from pathlib import Path
 
 from models.common.arrays import Array
 from models.document.reading import write_rows
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.result import RunResult
 
 Column = tuple[str, Array]  # heading and values over time

@@ -14,7 +14,7 @@ from models.common.printed import percent, wrapped
 from models.roads.profile import Profile
 from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
-from sim.linear.sampled_response import roundings
+from sim.linear.rounding import roundings
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
 

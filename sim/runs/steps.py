@@ -25,11 +25,11 @@ from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
+from sim.drive.recursion import SHARES, WEIGHTS, lag_stages, lagging
+from sim.drive.response import Response
 from sim.linear.linear_motion import LinearMotion, lag_rates
-from sim.linear.sampled_response import roundings
-from sim.physics.simulate import Commanded
-from sim.response.recursion import SHARES, WEIGHTS, lag_stages, lagging
-from sim.response.response import Response
+from sim.linear.rounding import roundings
+from sim.observers.recorder import Recording
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
@@ -97,26 +97,21 @@ def from_steady(road: RoadInput, response: Response) -> Response:
 
 
 def compare_steps(
-    motion: "Motion",
-    road: RoadInput,
-    physics: Response,
-    commanded: Commanded,
-    until: float,
-    rounding: Mapping[str, float],
+    motion: "Motion", road: RoadInput, recording: Recording, until: float, rounding: Mapping[str, float]
 ) -> StepAgreement:
     """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        commanded: measurements and commands of the controller.
-        rounding: rounding error of every output signal in the loop, see `sim.linear.sampled_response`.
+        road: vehicle and road that the run is said to have.
+        rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
     """
-    physics = from_steady(road, physics.until(until))
-    starts = _starts(motion, road, physics, commanded.commands)
+    measured, physics = recording.measured, from_steady(road, recording.response.until(until))
+    starts = _starts(motion, road, physics, recording.commands)
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     ahead, there = _stepped(motion, starts)
     shown = _shown(motion, starts, physics, starts.stages[0], road.in_signals[: len(starts.state)])
-    readings = _readings(motion, starts, physics, commanded.measured, road.in_readings[: len(starts.state)])
+    readings = _readings(motion, starts, physics, measured, road.in_readings[: len(starts.state)])
     told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
     names = (*told, *shown, *readings)
     held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
@@ -130,9 +125,9 @@ def compare_steps(
     high = 1.0 + np.abs(road.heights).max(initial=0.0)
     allowed = EXACT + high * np.array(rounded) / scales
     further = [shown[name] - physics[name][: len(ahead)] for name in shown]
-    further += [expected - commanded.measured[name][: len(ahead)] for name, expected in readings.items()]
+    further += [expected - measured[name][: len(ahead)] for name, expected in readings.items()]
     apart = np.abs(np.concatenate([ahead - there, *(row[:, None] for row in further)], axis=1))
-    between = np.isnan(np.stack([commanded.measured[name][: len(ahead)] for name in readings], 1)) if readings else None
+    between = np.isnan(np.stack([measured[name][: len(ahead)] for name in readings], 1)) if readings else None
     if between is not None:  # no measurement
         apart[:, -between.shape[1] :][between] = 0.0
     apart /= scales

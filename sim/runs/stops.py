@@ -8,7 +8,7 @@ import numpy as np
 from models.characteristics import SIDES
 from models.document.field import Field, json_object
 from models.parts.part import Part
-from sim.response.regime import AT, BUMP_STOP
+from sim.drive.regime import AT, BUMP_STOP
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN
 

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name
 from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.report import SIZE
 from sim.runs.result import RunResult
 from sim.runs.steps import WHEN

@@ -33,8 +33,8 @@ from sim.campaign.file import read_campaign
 from sim.campaign.plan import FEWEST, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.workers import run_batches
+from sim.drive import RUNS_AT_ONCE
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
-from sim.physics import RUNS_AT_ONCE
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import validity
 from synth.analysis.norm import hinf_norm

@@ -11,8 +11,8 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.physics.energy import Energy
-from sim.response.response import Response
+from sim.drive.response import Response
+from sim.observers.energy import Energy
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.steps import motion_of
 from synth.vehicle.designer import design

@@ -17,13 +17,14 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.physics import sensor_readout
-from sim.physics.computer import Computer
-from sim.physics.driver import RunDriver
-from sim.physics.simulate import PhysicsRuns, simulate
+from sim.drive import sensor_readout
+from sim.drive.computer import Computer
+from sim.drive.driver import RunDriver
 from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.vehicle.designer import driver_of
+from tests.support.analysed import Runs
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text
 from tests.support.faults import Fault, built_with, miswritten, places, scaled
@@ -98,9 +99,9 @@ def faulty(clean: Run, vehicle: Vehicle | None = None, fault: Fault | None = Non
         return judged(clean, made)
 
 
-def judged(clean: Run, made: PhysicsRuns) -> Run:
+def judged(clean: Run, made: Runs) -> Run:
     """The verdict on physics by the prediction of a clean run, without its energy."""
-    return compare_runs([clean.prediction], made)[0]
+    return compare_runs([clean.prediction], made.recordings)[0]
 
 
 def changed(run: Run, clean: Run) -> bool:

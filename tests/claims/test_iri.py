@@ -30,7 +30,7 @@ from models.roads.profile import Profile
 from models.roads.road import Bump, track_width
 from models.vehicle.names import CLASSES
 from models.vehicle.vehicle import read_vehicle
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.inspect.__main__ import main as inspect
 from tests.support.commands import once
 from tests.support.rewriting import contents, written

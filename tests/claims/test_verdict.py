@@ -12,9 +12,9 @@ from models.roads.road import LOWEST, Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle, read_vehicle
-from sim.linear.sampled_response import roundings
-from sim.response.response import Response
-from sim.runs.agreement import compare
+from sim.drive.response import Response
+from sim.linear.rounding import roundings
+from sim.runs.agreement import LinearComparison
 from sim.runs.report import reasons, verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
@@ -125,9 +125,9 @@ def test_an_exactly_linear_run_follows_its_sampled_response(vehicle, controllers
     def moved(times: float) -> Response:
         return dataclasses.replace(sampled, values=sampled.values + times * off)
 
-    assert compare(prediction, moved(1.0)).agrees
+    assert LinearComparison(prediction, moved(1.0), math.inf).agrees
     # RK4's own error is 1e-10 of a peak at this step, and the 1e-9 that are allowed of any are 60 roundings of a length here.
-    assert compare(prediction, moved(300.0)).agrees == has_geometry(vehicle)
+    assert LinearComparison(prediction, moved(300.0), math.inf).agrees == has_geometry(vehicle)
 
 
 def about_its_centre(kind: str) -> Vehicle:

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import os
 import re
 import subprocess
@@ -18,7 +19,7 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.runs.agreement import ROUNDING, compare
+from sim.runs.agreement import ROUNDING, LinearComparison
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
@@ -142,8 +143,8 @@ def test_another_vehicles_prediction_does_not_agree(paper, designer):
     passive, moment = designer.design("passive"), sample_times(paper, 0.5, 2e-4)
     physics = run_controllers(paper, [passive], Bump(), moment)[0].physics
     # RK4's own error at this step is 1e-9 of a peak, as the rounding that is allowed.
-    verdicts = (compare(predict(paper, passive, Bump(height), moment), physics) for height in (0.1, 0.1 * (1 + 1e-6)))
-    right, wrong = verdicts
+    predictions = [predict(paper, passive, Bump(height), moment) for height in (0.1, 0.1 * (1 + 1e-6))]
+    right, wrong = (LinearComparison(one, physics, math.inf) for one in predictions)
     assert right.agrees
     assert not wrong.agrees
     assert max(entry.allowed for entry in right.signals.values()) < 10 * ROUNDING

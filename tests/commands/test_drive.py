@@ -11,7 +11,7 @@ from models.common.table import find_table
 from models.common.units import TIME
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.runs.report import signal_table
 from sim.runs.run import run_controllers, sample_times
 from tests.support.commands import answer, main_of, prose

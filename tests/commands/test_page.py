@@ -24,8 +24,8 @@ from models.document.picture import DARKEST, FONT, cells, panel_svg, ticks, writ
 from models.document.reading import Pivot, aligned, notation, read, write_rows
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
+from sim.drive.regime import REGIME_ENDS
 from sim.report.designs import gain_table
-from sim.response.regime import REGIME_ENDS
 from sim.studies.validity.report import NOTHING
 from tests.support.commands import ROOT, environment
 from tests.support.reading import number

@@ -7,7 +7,7 @@ import pytest
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import read_vehicle
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
 from sim.report.__main__ import main
 from sim.report.ride import _roughness_row
 

@@ -12,7 +12,7 @@ from models.document.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
 from sim.envelope import main as envelope
 from sim.report.__main__ import main as report
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_texts

@@ -55,7 +55,7 @@ bump stops                                                      565    194      
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
 parts of a suspension                                          2150   1770      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
-    models/kinds/at_wheels.py sim/physics/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
+    models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
     tests/models/test_set_voltages.py
 loads, links, tyre damping                                      764   1532     54
@@ -88,7 +88,7 @@ sampled data: norm, bound, designs, rates                      2104   1299    11
     synth/vehicle/sampled_data.py synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
 export: C99, fixed point, FMI, MATLAB                          3271   1454     96
-    synth/controller/export/** synth/command/export*.py sim/physics/exported_code.py
+    synth/controller/export/** synth/command/export*.py sim/drive/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                           913    741    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
@@ -130,7 +130,7 @@ gallery of papers                                               719    343     4
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
 margins in physics                                             2490    944     79
-    sim/margins.py sim/studies/stability/* sim/physics/step_derivative.py tests/*/test_margins*.py docs/how-to/margins.md
+    sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1871    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
@@ -141,16 +141,18 @@ ride metrics and their expectation                             2266   1208      
 map of validity                                                1205    369     33
     sim/envelope.py sim/studies/validity/* tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    2000    992     18
-    sim/physics/{__init__,actuators,computer,driver,energy,run_blocks,sensor_readout,simulate}.py
+    sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py sim/observers/*
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                                765    364      0
-    sim/linear/{__init__,forced_response,frequency_response,linear_motion,sampled_response}.py tests/support/analysed.py
+    sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
 runs, verdict, their text                                      3304    914     60
-    sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py sim/response/*
+    sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py
+    sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1001   1005    374
-    sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
+    sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
+    tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
 house, pages, benchmarks                                          0   4144   1563

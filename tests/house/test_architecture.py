@@ -53,31 +53,31 @@ ROOMS = {
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
     "sim": "",
-    "sim.response": "models.document models.characteristics models.kinds models.parts models.vehicle",
-    "sim.linear": "models.laws models.kinds models.parts models.vehicle models.roads synth.plant synth.controller sim.response",
-    "sim.physics": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.plant "
-    "synth.controller sim.response",
+    "sim.drive": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
+    "synth.plant synth.controller",
+    "sim.linear": "models.laws models.kinds models.parts models.vehicle models.roads synth.plant synth.controller sim.drive",
+    "sim.observers": "models.document models.kinds models.parts models.vehicle models.roads synth.plant synth.controller "
+    "sim.drive sim.linear",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
-    "models.roads synth.plant synth.controller synth.vehicle sim.response sim.linear sim.physics",
+    "models.roads synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers",
     "sim.recording": "models.document models.kinds models.vehicle models.roads synth.analysis synth.controller "
-    "sim.response sim.linear sim.physics sim.runs",
+    "sim.drive sim.linear sim.observers sim.runs",
     "sim.studies": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
-    "synth.plant synth.analysis synth.controller synth.design synth.vehicle sim.response sim.linear sim.physics sim.runs",
-    "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.response sim.runs "
+    "synth.plant synth.analysis synth.controller synth.design synth.vehicle sim.drive sim.linear sim.observers sim.runs",
+    "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.recording sim.studies",
     "sim.bump": "models.vehicle models.roads sim.command",
     "sim.campaign": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
-    "synth.plant synth.controller synth.vehicle sim.response sim.linear sim.physics sim.runs sim.studies sim.command",
-    "sim.drive": "sim.command",
-    "sim.envelope": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.response sim.runs "
+    "synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers sim.runs sim.studies sim.command",
+    "sim.envelope": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.studies sim.command",
     "sim.gallery": "models.document sim.studies",
     "sim.inspect": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "
-    "sim.response sim.linear sim.physics sim.runs sim.recording sim.studies",
+    "sim.drive sim.linear sim.observers sim.runs sim.recording sim.studies",
     "sim.margins": "models.document models.vehicle synth.controller synth.vehicle sim.linear sim.runs sim.studies sim.command",
     "sim.new": "models.vehicle",
     "sim.report": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
-    "synth.controller synth.vehicle synth.command sim.response sim.linear sim.physics sim.runs sim.studies sim.command",
+    "synth.controller synth.vehicle synth.command sim.drive sim.linear sim.observers sim.runs sim.studies sim.command",
     "sim.sweep": "models models.document models.vehicle models.roads synth.vehicle sim.runs sim.studies sim.command",
     "sim.__main__": "",
 }
@@ -95,7 +95,7 @@ REACHES = {
     "synth.controller": "models.common models.characteristics models.document models.kinds models.laws models.parts "
     "models.vehicle synth.analysis synth.plant",
     "sim.inspect": "models.common models.characteristics models.document models.kinds models.laws models.roads models.parts "
-    "models.vehicle synth.analysis synth.controller synth.plant sim.linear sim.physics sim.recording sim.response sim.runs "
+    "models.vehicle synth.analysis synth.controller synth.plant sim.drive sim.linear sim.observers sim.recording sim.runs "
     "sim.studies",
 }
 
@@ -107,10 +107,10 @@ OWNERS = {
     "mujoco": {
         "models/vehicle/mjcf.py",
         "models/parts/native.py",
-        "sim/physics/sensor_readout.py",
-        "sim/physics/run_blocks.py",
-        "sim/physics/part_steps.py",
-        "sim/physics/energy.py",
+        "sim/drive/sensor_readout.py",
+        "sim/drive/run_blocks.py",
+        "sim/drive/part_steps.py",
+        "sim/observers/energy.py",
         "sim/recording/run_records.py",
         "sim/recording/scene.py",
     },
@@ -119,8 +119,8 @@ OWNERS = {
     "google": {"sim/recording/mcap_writer.py", "sim/inspect/log.py", "sim/recording/foxglove_scene.py"},
     "foxglove_schemas_protobuf": {"sim/recording/foxglove_scene.py"},
     "rerun": {"sim/recording/rerun_writer.py", "sim/recording/rerun_contents.py"},
-    "control": {"sim/response/response.py", "synth/vehicle/state_space.py"},
-    "pandas": {"sim/response/response.py"},
+    "control": {"sim/drive/response.py", "synth/vehicle/state_space.py"},
+    "pandas": {"sim/drive/response.py"},
     "matplotlib": {"models/document/picture.py"},
     "jinja2": {"models/document/page.py"},
     "python_calamine": {"models/common/table.py"},

@@ -17,7 +17,7 @@ from models.roads.rig import Rig
 from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.physics import sensor_readout as readout
+from sim.drive import sensor_readout as readout
 from sim.recording.run_records import scene_of
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import difference

@@ -21,11 +21,11 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.drive.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.inspect.__main__ import main as inspect
 from sim.inspect.findings import different
 from sim.inspect.log import read_log
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
-from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify

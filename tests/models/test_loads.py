@@ -26,15 +26,15 @@ from models.roads.road import Bump, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
-from sim.drive import main
+from sim.drive.__main__ import main
+from sim.drive.regime import LIFT_OFF
+from sim.drive.response import Response
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import simulate as simulate_inputs
-from sim.response.regime import LIFT_OFF
-from sim.response.response import Response
 from sim.runs.report import LOST, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
+from tests.support.analysed import simulate_inputs as simulate_inputs
 from tests.support.commands import attacks, in_the_suite, once, prose
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.support.shared import designed

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from models.roads.road import Bump
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.response.regime import SATURATION
+from sim.drive.regime import SATURATION
 from sim.runs.report import reasons
 from sim.runs.run import run_controllers, sample_times
 from tests.conftest import random_vehicles

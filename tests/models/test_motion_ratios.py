@@ -18,9 +18,8 @@ from models.parts.spring import SpringCurve
 from models.roads.choice import choose_road
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.physics.actuators import Actuators
-from sim.physics.sensor_readout import reads_out
-from sim.physics.simulate import simulate
+from sim.drive.actuators import Actuators
+from sim.drive.sensor_readout import reads_out
 from sim.runs import by_name
 from sim.runs.dampers import shortfalls
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
@@ -30,6 +29,7 @@ from sim.studies.ride.metrics import Meter, measure
 from sim.studies.stability.robustness import _with_factors, read_variations, robustness
 from synth.analysis.norm import hinf_norm
 from synth.vehicle.designer import Designer, driver_of
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import main_of, prose
 from tests.support.mechanism import straight
 
@@ -156,7 +156,7 @@ def test_a_ratio_that_is_off_by_two_percent_is_found(kind, sort, name):
 
 def assert_found(clean: Run, other: Vehicle) -> None:
     made = simulate([clean.controller], [RoadInput(other, clean.road, clean.physics.time)])
-    assert not compare_runs([clean.prediction], made)[0].agrees
+    assert not compare_runs([clean.prediction], made.recordings)[0].agrees
 
 
 @pytest.mark.parametrize("sort", ["dampers", "measured"])

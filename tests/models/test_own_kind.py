@@ -16,7 +16,7 @@ from models.kinds.user_kind import check_equations, check_parts
 from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import kinds, read_vehicle
 from sim.bump import main
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
 from sim.studies.ride.weighting import wk
 from synth.__main__ import main as synth
 from tests.support.commands import environment, prose

@@ -32,11 +32,12 @@ from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import PhysicsRuns, simulate
 from sim.runs.prediction import predicted
 from sim.runs.run import Run, compare_runs, sample_times, with_energy_balance
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import driver_of
+from tests.support.analysed import Runs
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks, main_of, prose
 from tests.support.mechanism import CORNERS, Mechanism, acting, axle, integrated, rk4, static_loads, straight
 
@@ -729,7 +730,7 @@ def held(kind: str) -> AnyController:
 
 
 @cache
-def driven(kind, names, ratio, fault=1.0, h=H) -> tuple[RoadInput, PhysicsRuns]:
+def driven(kind, names, ratio, fault=1.0, h=H) -> tuple[RoadInput, Runs]:
     """MuJoCo's run over a bump."""
     vehicle = car(kind, names, ratio, fault=fault)
     on = RoadInput(vehicle, ROADS[kind], sample_times(vehicle, 0.3, h))
@@ -799,9 +800,9 @@ def test_a_run_is_an_independent_integration(names, ratio):
     assert ratio == "over travel" or ROWS[names[0]].d or ROWS[names[0]].v or errors[1] < errors[0] / 15, "no knot: order 4"
 
 
-def judged(on: RoadInput, physics: PhysicsRuns) -> Run:
+def judged(on: RoadInput, physics: Runs) -> Run:
     """The verdict on a run of MuJoCo by the prediction for a vehicle."""
-    return compare_runs([predicted(held(on.vehicle.kind.name), on, physics.requested_force[0])], physics)[0]
+    return compare_runs([predicted(held(on.vehicle.kind.name), on, physics.requested_force[0])], physics.recordings)[0]
 
 
 @some_runs
@@ -809,7 +810,7 @@ def test_the_verdict_passes_and_a_fault_is_found(kind, names, ratio):
     """A run agrees and its energy balances; a number that is 2 % off in the physics alone, or in the equations, is found."""
     on, physics = driven(kind, names, ratio)
     other, faulty = driven(kind, names, ratio, FAULT)
-    assert with_energy_balance([judged(on, physics)], physics)[0].passed
+    assert with_energy_balance([judged(on, physics)], physics.recordings)[0].passed
     assert not judged(on, faulty).agrees
     assert not judged(other, physics).agrees
 

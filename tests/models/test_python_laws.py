@@ -27,12 +27,11 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import sampled_response, taylor4
-from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
 from sim.runs.prediction import predicted
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.support.analysed import simulate
+from tests.support.analysed import Runs, simulate
 from tests.support.commands import environment, main_of, prose
 from tests.support.curved import DIGRESSIVE, with_curves
 from tests.support.pages import site
@@ -66,7 +65,7 @@ def vehicle_of(folder: Path, law: str, kind: str = "quarter_car", measured=MEASU
     return path
 
 
-def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, duration: float = 0.6) -> PhysicsRuns:
+def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, duration: float = 0.6) -> Runs:
     """A run of a vehicle file's controller."""
     vehicle = vehicle or read_vehicle(path)
     time = sample_times(vehicle, duration, 1e-3)
@@ -179,10 +178,10 @@ def test_it_can_disagree(tmp_path):
     """Other forces by a hundred-thousandth are found: they are not the law's, and MuJoCo's steps are not those under them."""
     path = vehicle_of(tmp_path, GAIN)
     vehicle, runs = read_vehicle(path), driven(path)
-    time, given = runs.response.time, runs.commanded(0)
+    time, given = runs.response.time, runs.recordings[0]
     prediction = predicted(vehicle.controllers["mine"].driver(), RoadInput(vehicle, Bump(), time), runs.requested_force[0])
     for share, agrees in {1.0: True, 1.00001: False}.items():
-        found = compare(prediction, runs.run(0), replace(given, commands=share * given.commands))
+        found = compare(prediction, replace(given, commands=share * given.commands))
         assert [one.agrees for one in (found.steps, found.commands) if one is not None] == [agrees, agrees]
 
 

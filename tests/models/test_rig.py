@@ -17,7 +17,7 @@ from models.roads.road import track_width, under_wheels
 from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.campaign.file import read_campaign
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.inspect.__main__ import main as inspect
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design

@@ -178,7 +178,7 @@ def test_another_damper_is_found(change):
     else:
         other = replace(vehicle, dampers={"control_force": replace(one, **{change: 1.01 * getattr(one, change)})})
     made = simulate([other], [controller], [BUMP], time)
-    (run,) = compare_runs([predicted(controller, RoadInput(vehicle, BUMP, time), made.requested_force[0])], made)
+    (run,) = compare_runs([predicted(controller, RoadInput(vehicle, BUMP, time), made.requested_force[0])], made.recordings)
     assert not run.agrees
     assert re.search("DOES NOT AGREE|COMMANDS DO NOT AGREE", verdict(run).text)
 

@@ -16,9 +16,9 @@ from sim import run
 from sim.campaign.samples import with_sample
 from sim.linear.dampers import closing_velocities
 from sim.linear.stepped import stepped
-from sim.physics.simulate import simulate
 from synth.controller.controller import Controller
 from synth.vehicle.designer import driver_of
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.mechanism import G
 
 N = {"alpha": 4e3, "per": 2.4e4, "c0": 250.0, "c0_per": 150.0, "c1": 5e3, "c1_per": 2e3, "k0": 3e3, "k1": 400.0}

@@ -15,8 +15,8 @@ from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.drive.regime import reached
 from sim.inspect.__main__ import main as inspect
-from sim.response.regime import reached
 from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note

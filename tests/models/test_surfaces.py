@@ -10,12 +10,12 @@ from models.characteristics.ratio_table import RatioTable
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.physics.step_derivative import step_derivative
-from sim.response.regime import CURVE, LEAVES, departures
+from sim.drive.regime import CURVE, LEAVES, departures
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.statistical_linearisation import equivalent
+from sim.studies.stability.step_derivative import step_derivative
 from synth.vehicle.designer import Designer, design
 from tests.support.analysed import energy, sampled_response, simulate
 from tests.support.commands import attacks, refused

@@ -15,8 +15,8 @@ from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.spectrum import sources
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.drive.regime import LIFT_OFF
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.response.regime import LIFT_OFF
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure

@@ -18,11 +18,10 @@ from models.roads.load_choice import choose_load
 from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model, build_spec
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
+from sim.drive.sensor_readout import reads_out
 from sim.inspect.__main__ import main as inspect
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.physics.sensor_readout import reads_out
-from sim.physics.simulate import simulate as simulate_met
 from sim.runs.agreement import compare
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, static_angles
@@ -32,6 +31,7 @@ from synth.vehicle.designer import Designer
 from tests.conftest import random_vehicles
 from tests.models import test_cars
 from tests.support.analysed import energy, simulate
+from tests.support.analysed import simulate_inputs as simulate_met
 from tests.support.commands import attacks, in_the_suite, prose, refused
 from tests.support.faults import built_with, places, scaled
 from tests.support.rewriting import contents
@@ -176,7 +176,7 @@ def test_what_is_off_is_found(kind, lines, what):
     assert clean.passed
     with built_with(off_by_2_percent(what, build_spec(vehicle, 1e-3))):
         made = simulate_met([passive], [RoadInput(vehicle, road, time)])
-    wrong = compare(clean.prediction, made.run(0), made.commanded(0))
+    wrong = compare(clean.prediction, made.recordings[0])
     assert wrong.steps is not None
     assert not wrong.steps.agrees
     assert wrong.steps.error > 1e-7  # of a peak in one step; a clean one has 3e-14

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.rerun_writer import _page, write_rrd
 from sim.recording.run_records import run_log

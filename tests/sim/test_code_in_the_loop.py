@@ -17,7 +17,6 @@ from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import simulate
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
 from sim.report.scope import Scope
@@ -32,6 +31,7 @@ from synth.controller.export.compiled import ExportedCode
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW, needs_cc
 from tests.commands.test_export import _given as given
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks, prose
 
 STEP = 1e-3

@@ -17,16 +17,16 @@ from models.roads.loaded import RoadWithLoads
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.envelope import main
-from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import simulate
-from sim.response.regime import (
+from sim.drive.regime import (
     END_NAMES,
     FLAT,
     REGIME_ENDS,
     scaled_reached,
     utilisation,
 )
+from sim.envelope import main
+from sim.inspect.__main__ import main as inspect
+from sim.observers.recorder import record
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers
 from sim.studies.validity.edges import travel_texts
@@ -165,11 +165,11 @@ def run_steps(monkeypatch) -> list[int]:
     """Returns the timesteps of every run of the maps that follow."""
     steps: list[int] = []
 
-    def counted(controllers, inputs, threads=1):
-        steps.append(len(controllers) * len(inputs[0].time))
-        return simulate(controllers, inputs, threads)
+    def counted(cases, time, threads=1):
+        steps.append(len(cases) * len(time))
+        return record(cases, time, threads)
 
-    monkeypatch.setattr("sim.studies.validity.map_runs.simulate", counted)
+    monkeypatch.setattr("sim.studies.validity.map_runs.record", counted)
     return steps
 
 

@@ -15,11 +15,11 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
+from sim.drive.response import difference
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
 from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, arrows, rotation_matrix, strut_lines, tyre_surface
-from sim.response.response import difference
 from tests.sim.test_recording import make_run, messages
 from tests.support.npm import installed
 

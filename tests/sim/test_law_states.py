@@ -14,8 +14,8 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
+from sim.drive.drive import FEWEST
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import FEWEST, simulate
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.pages import MOST_ACTIVE
 from sim.recording.rerun_writer import _comparison, _page
@@ -23,6 +23,7 @@ from sim.recording.run_records import run_log
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks
 from tests.synth.test_laws import REALITIES, controller
 

@@ -15,11 +15,11 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.margins import main
-from sim.physics.step_derivative import step_derivative
 from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
+from sim.studies.stability.step_derivative import step_derivative
 from synth.controller.stability_margins import margins
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import StateSpace

@@ -10,11 +10,11 @@ from models.laws.linear import LinearLaw, static_law
 from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.physics.simulate import simulate
 from sim.studies.stability.fragility import find_fragility
 from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of, searches
 from synth.controller.loop_of import loop_of, radius
 from synth.vehicle.designer import certify_given, design
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks
 
 TIMESTEP = 2e-3

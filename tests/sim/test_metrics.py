@@ -11,7 +11,7 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import measure, metrics_of
 from sim.studies.ride.weighting import sampled_wk, wk

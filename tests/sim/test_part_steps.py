@@ -13,7 +13,7 @@ from models.parts.native import MOTOR
 from models.vehicle.mjcf import FITTED, build_spec, mocap_indices
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.physics.part_steps import PartBatch
+from sim.drive.part_steps import PartBatch
 
 H, STEPS = 1e-3, 250
 LIMITS = "\n[limits]\nactuator_force = 150.0\nactuator_bandwidth = 60.0\n"

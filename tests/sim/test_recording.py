@@ -13,13 +13,13 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from models.common.errors import InputError
 from models.kinds.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
+from sim.drive.response import Response
 from sim.recording import rerun_writer
 from sim.recording.files import record
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 from sim.recording.scene import Motion, Scene, Shape
-from sim.response.response import Response
 
 SIGNALS = (ROAD_DISPLACEMENT, SUSPENSION_DEFLECTION, SPRUNG_ACCELERATION, CONTROL_FORCE)
 METADATA = {"command": "sim.bump", "road": json.dumps({"type": "bump", "height_m": 0.1}), "vehicle_file": "a\nb | c"}

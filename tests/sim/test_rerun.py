@@ -13,13 +13,13 @@ from models.document.figure import rgb, styles
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road
 from models.vehicle.vehicle import read_vehicle
+from sim.drive.response import Response, difference
 from sim.recording.pages import NEUTRAL, OVERVIEW, ROADS, SEEN, colour_of, groups, pages
 from sim.recording.rerun_contents import GROUND
 from sim.recording.rerun_writer import _comparison, _page, extremes_text, value_axis, write_rrd
 from sim.recording.run_log import RunLog
 from sim.recording.run_records import run_log
 from sim.recording.scene import LIFTED, LONGEST, ROAD
-from sim.response.response import Response, difference
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.sim.test_recording import make_run

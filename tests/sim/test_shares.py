@@ -3,8 +3,6 @@
 import _thread
 import signal
 import threading
-from collections import deque
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -14,17 +12,19 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from models.common.threads import AHEAD, one_thread, side_by_side
+from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
-from sim.physics.run_blocks import BatchInputs, in_shares
+from sim.drive.case import Batch, Case
+from sim.drive.drive import drive
+from sim.drive.loop import Block
 from tests.support.analysed import simulate
 from tests.support.shared import designed
 
 # Ctrl-C as POSIX sends it, which wakes a thread that waits.
 MAIN = threading.main_thread().ident or 0
 SEND = partial(signal.pthread_kill, MAIN, signal.SIGINT) if hasattr(signal, "pthread_kill") else None
-HALVES = [slice(0, 4), slice(4, 8)]
 
 
 def times(timestep: float, duration: float) -> np.ndarray:
@@ -78,17 +78,17 @@ def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
 def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     """Who leaves the runs, as by Ctrl-C, leaves no thread behind that steps on."""
     time = times(1e-3, 300.0)  # half a minute of work
-    heights = np.zeros((len(time), 8, 1))
-    before = threading.active_count()
-    course = BatchInputs([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)))
-    shares = in_shares(course, HALVES)
-    begun, ended = [threading.Event() for _ in shares], []
+    before, begun = threading.active_count(), [threading.Event() for _ in range(2)]
 
-    def run(number: int, stopped: Callable[[], bool]) -> int:
-        for _ in shares[number](stopped):
-            begun[number].set()
-        ended.append((number, stopped()))
-        return number
+    class Watch:
+        def __init__(self, batch: Batch) -> None:
+            self.number = batch.numbers[0] // 4
+
+        def take(self, block: Block) -> None:
+            begun[self.number].set()
+
+        def result(self) -> list[None]:
+            raise AssertionError("the runs are not at their end")
 
     def interrupt() -> None:
         for event in begun:
@@ -96,10 +96,9 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
         (SEND or _thread.interrupt_main)()
 
     threading.Thread(target=interrupt).start()
-    with pytest.raises(KeyboardInterrupt), closing(side_by_side([partial(run, 0), partial(run, 1)], 2)) as done:
-        deque(done, maxlen=0)
+    with pytest.raises(KeyboardInterrupt):
+        drive([Case(paper, designer.design("I"), Flat())] * 8, time, Watch, threads=2, streamed=True)
     assert all(event.is_set() for event in begun)
-    assert sorted(ended) == [(0, True), (1, True)]
     assert threading.active_count() <= before + 1  # the timer's own may still be there
 
 

@@ -13,7 +13,7 @@ import sim.command.comparison
 from models.roads.iso8608 import Iso8608
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect

@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.kinds.kind import GRAVITY
 from models.roads.obstacles import Step
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.drive import main
+from sim.drive.__main__ import main
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.between_samples import DEGREE, Pieces, exact
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics

@@ -4,6 +4,8 @@ Each function here takes these one by one, makes the objects of the product from
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -11,13 +13,12 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
+from sim.drive.driver import RunDriver
+from sim.drive.response import Response
 from sim.linear import sampled_response as linear
-from sim.physics import energy as balance
-from sim.physics import simulate as physics_of
-from sim.physics.driver import RunDriver
-from sim.physics.simulate import PhysicsRuns
-from sim.response.response import Response
-from sim.runs import prediction
+from sim.observers import energy as balance
+from sim.observers.recorder import Recording, record
 from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, radius
@@ -50,16 +51,62 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
     return linear.continuous_response(controller, RoadInput(vehicle, road, time))
 
 
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """N recordings of one kind of vehicle, and their signals and positions side by side."""
+
+    recordings: Sequence[Recording]
+
+    @cached_property
+    def response(self) -> Response:
+        """The vehicle's signals, values of shape (N, T, S)."""
+        first = self.recordings[0].response
+        count = len(self.recordings[0].vehicle.kind.signals)
+        before = {name: np.stack([one.response.before[name] for one in self.recordings]) for name in first.before}
+        values = np.stack([one.response.values[:, :count] for one in self.recordings])
+        return Response(first.time, first.signals[:count], values, before)
+
+    @property
+    def diverged(self) -> Array:
+        return np.array([one.diverged for one in self.recordings])
+
+    @property
+    def qpos(self) -> Array:
+        return np.stack([one.qpos for one in self.recordings])
+
+    @property
+    def qvel(self) -> Array:
+        return np.stack([one.qvel for one in self.recordings])
+
+    @property
+    def ran_away(self) -> Array:
+        return np.array([one.response.ran_away for one in self.recordings])
+
+    @property
+    def requested_force(self) -> Array:
+        return np.stack([one.commands for one in self.recordings])
+
+    def run(self, index: int) -> Response:
+        return self.recordings[index].response
+
+
 def simulate(
     vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array, threads: int = 1
-) -> PhysicsRuns:
-    met = [RoadInput(vehicle, road, time) for vehicle, road in zip(vehicles, roads, strict=True)]
-    return physics_of.simulate(controllers, met, threads)
+) -> Runs:
+    return Runs(record([Case(*each) for each in zip(vehicles, controllers, roads, strict=True)], time, threads))
 
 
-def energy(vehicle: Vehicle, runs: PhysicsRuns, index: int, road: Road, until: float = np.inf) -> balance.Energy:
-    return balance.energy(runs, index, RoadInput(vehicle, road, runs.response.time), until)
+def simulate_inputs(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> Runs:
+    roads = [on.road for on in inputs]
+    return simulate([on.vehicle for on in inputs], controllers, roads, inputs[0].time, threads)
+
+
+def energy(vehicle: Vehicle, runs: Runs, index: int, road: Road, until: float = np.inf) -> balance.Energy:
+    """The energy balance of a run by the numbers of a vehicle, which need not be those of the run."""
+    run = runs.recordings[index]
+    case = replace(run.case, vehicle=vehicle, road=road)
+    return balance.energy(replace(run, case=case, input=RoadInput(vehicle, road, run.input.time)), until)
 
 
 def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, most_states: float = np.inf) -> Prediction:
-    return prediction.predict(controller, RoadInput(vehicle, road, time), most_states)
+    return Prediction(RoadInput(vehicle, road, time), controller, most_states=most_states)

@@ -10,7 +10,8 @@ from typing import Any
 
 from models.vehicle import mjcf
 from models.vehicle.vehicle import Vehicle
-from sim.physics import energy, sensor_readout
+from sim.drive import sensor_readout
+from sim.observers import energy
 
 Fault = Callable[[Any], None]
 

@@ -13,12 +13,15 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.drive.case import Case
+from sim.drive.drive import drive
+from sim.drive.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import MonitoredBatch, simulate
-from sim.response.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
+from sim.observers.ends import Ends
 from sim.runs.report import controller_notes, controller_object, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import attacks, refused
 from tests.support.shared import designed, printed
 
@@ -130,14 +133,12 @@ def test_the_linear_regime_ends_with_the_first_command_at_the_rate_limit(lag):
     vehicle = replace(vehicle, limits=replace(vehicle.limits, force_rate=200.0, actuator_bandwidth=lag))
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.176)
     road = RoadInput(vehicle, BUMP, run.physics.time)
-    batch = MonitoredBatch([run.controller] * 2, [road] * 2)
-    for _ in batch.blocks():
-        pass
+    (ends,) = drive([Case(vehicle, run.controller, BUMP)] * 2, run.physics.time, Ends, streamed=True)
     commands = simulate([run.controller], [road]).requested_force[0, :, 0]
     first = run.physics.time[(np.abs(np.diff(commands, prepend=0.0)) > 0.8 * (1 - 1e-9)).argmax()]
     assert run.passed
     assert 0 < first == run.agreement.ended[RATE_LIMIT.name]
-    assert (batch.ends.times[:, end] == first).all()
+    assert [one.times[end] for one in ends] == [first] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled)[[end]]
     times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]))[:, end]
     assert times[0] == first
@@ -164,10 +165,8 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)
     full = time[(np.abs(free.physics["control_force"]) >= 50.0).argmax()]
     assert clipped < free.agreement.ended[SATURATION.name] == full  # without anti-windup a lag is linear until then
-    batch = MonitoredBatch([controller] * 2, [road] * 2)
-    for _ in batch.blocks():
-        pass
-    assert (batch.ends.times[:, end] == clipped).all()
+    (ends,) = drive([Case(vehicle, controller, BUMP)] * 2, time, Ends, streamed=True)
+    assert [one.times[end] for one in ends] == [clipped] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled, anti_windup=True)[[end]]
     times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]), anti_windup=True)[:, end]
     assert times[0] == clipped

@@ -6,7 +6,7 @@ import pytest
 
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.response.response import Response
+from sim.drive.response import Response
 from synth.vehicle.designer import design
 from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.support.analysed import continuous_response

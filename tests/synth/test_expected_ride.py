@@ -8,13 +8,13 @@ import pytest
 from models.roads.iso8608 import Iso8608
 from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.physics.simulate import simulate
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure
 from synth.__main__ import main
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.expected_ride import expected_ride
+from tests.support.analysed import simulate_inputs as simulate
 from tests.support.commands import prose
 from tests.support.curved import curved_text, with_curves
 from tests.support.pages import site

@@ -11,7 +11,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
 from sim.runs.report import reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers

@@ -17,11 +17,11 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.margins import main
-from sim.physics.step_derivative import step_derivative
 from sim.report.designs import gain_table
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
+from sim.studies.stability.step_derivative import step_derivative
 from synth.analysis.certificate import Certificate, certify
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of

@@ -12,7 +12,7 @@ from scipy import linalg
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
-from sim.drive import main as drive
+from sim.drive.__main__ import main as drive
 from sim.inspect.__main__ import main as inspect
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth

@@ -1,6 +1,7 @@
 """Laws that are unstable by themselves, where forces are clipped: what is only asked for ends no run."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,15 @@ import pytest
 
 from models.document.text import text_lines
 from models.laws.linear import LinearLaw
-from models.roads.road import Bump, RoadInput
+from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
-from sim.physics.energy import BALANCED
-from sim.physics.run_blocks import DIVERGED
-from sim.physics.simulate import MonitoredBatch
+from sim.drive.case import Batch, Case
+from sim.drive.drive import drive
+from sim.drive.loop import DIVERGED, Block
+from sim.observers.ends import Ends
+from sim.observers.energy import BALANCED
 from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics
@@ -160,11 +163,22 @@ def test_a_batch_keeps_what_others_ask_for():
     """A law that overflows in a batch neither ends the runs beside it nor cuts what their laws ask for."""
     vehicle = semi_active(FAST, SLOW)
     controllers = design(vehicle, [f"law_{FAST:g}", f"law_{SLOW:g}"])
-    watched = MonitoredBatch(controllers, [RoadInput(vehicle, BUMP, sample_times(vehicle, 1.2, 1e-3))] * 2)
     missing = [signal.name for signal in vehicle.kind.signals].index("missing_force")
-    last = [block.values[-1, missing] for block in watched.blocks()][-1]
-    assert watched.ran_away.tolist() == [True, False]
-    assert np.isfinite(watched.diverged).tolist() == [True, False]
+
+    class Last:
+        def __init__(self, batch: Batch) -> None:
+            self.missing = np.zeros(len(batch.cases))
+
+        def take(self, block: Block) -> None:
+            self.missing = block.values[-1, missing].copy()
+
+        def result(self) -> list[float]:
+            return self.missing.tolist()
+
+    cases = [Case(vehicle, one, BUMP) for one in controllers]
+    ends, last = drive(cases, sample_times(vehicle, 1.2, 1e-3), Ends, Last, streamed=True)
+    assert [one.ran_away for one in ends] == [True, False]
+    assert [math.isfinite(one.diverged) for one in ends] == [True, False]
     assert abs(last[0]) <= DIVERGED
     assert abs(last[1]) > 1e10
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite, finite_pairs
-from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import simulate
-from sim.response.regime import ended_by
-from sim.response.response import SILENT, STILL, Response, loudest_alike
+from sim.drive.case import Case
+from sim.drive.regime import ended_by
+from sim.drive.response import SILENT, STILL, Response, loudest_alike
+from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
 from synth.controller.controller import AnyController
@@ -92,13 +92,12 @@ def describing_function(
     parts, times, away, ended = [], list[float](), list[bool](), dict[str, None]()
     for some in np.split(omega, range(together, len(omega), together)):
         roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
-        runs = simulate([controller] * len(some), [RoadInput(vehicle, road, time) for road in roads])
-        times += runs.diverged.tolist()
-        away += runs.ran_away.tolist()
-        for i, each in enumerate(some.tolist()):
-            run = runs.run(i)
+        runs = [one.response for one in record([Case(vehicle, controller, road) for road in roads], time)]
+        times += [run.diverged for run in runs]
+        away += [run.ran_away for run in runs]
+        for run, each in zip(runs, some.tolist(), strict=True):
             ended |= dict.fromkeys(ended_by(vehicle, run, controller.has_anti_windup))
-            if np.isfinite(runs.diverged[i]):
+            if np.isfinite(run.diverged):
                 nothing = np.full(len(outputs), np.nan)
                 parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
                 continue

@@ -25,10 +25,10 @@ from models.document.field import Field
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
+from sim.drive.regime import LIFT_OFF, ended_by
+from sim.drive.response import Response
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
-from sim.response.regime import LIFT_OFF, ended_by
-from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in

@@ -14,8 +14,8 @@ from models.document.figure import Curve, Figure, Panel, Style
 from models.roads.spectrum import as_met
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.drive.response import SILENT, loudest_alike
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
-from sim.response.response import SILENT, loudest_alike
 from sim.studies.frequency.describing_function import DescribingFunction
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
 from synth.controller.controller import Controller

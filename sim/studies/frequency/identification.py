@@ -22,16 +22,16 @@ from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Length, PositiveSpeed, Time
 from models.common.errors import InputError
 from models.laws.filter import Filter
-from models.roads.road import RoadInput
 from models.roads.sinusoids import chirp
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
+from sim.drive.regime import ended_by
+from sim.drive.response import SILENT, Response, loudest_alike
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.linear.sampled_response import taylor4
-from sim.physics.simulate import simulate
-from sim.response.regime import ended_by
-from sim.response.response import SILENT, Response, loudest_alike
+from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
@@ -221,13 +221,12 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, time
     omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
     time = sample_times(vehicle, 2 * period * timestep, timestep)[:-1]  # a period is as long as `PATIENCE`
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
-    physics = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0)
+    runs = record([Case(vehicle, controller, road) for controller in controllers], time, threads=0)
 
     inputs, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
     identified = []
-    for i, controller in enumerate(controllers):
-        run = physics.run(i)
+    for controller, run in zip(controllers, (one.response for one in runs), strict=True):
         sampled, half, integrated = (
             (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ inputs)[..., 0]
             for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))

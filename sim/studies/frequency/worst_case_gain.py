@@ -28,6 +28,9 @@ from models.roads.sinusoids import Multisine, random_road, sinusoid
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
+from sim.drive.regime import ended_by
+from sim.drive.response import Response
 from sim.linear.frequency_response import (
     WorstSinusoid,
     sampled_frequency_response,
@@ -36,9 +39,7 @@ from sim.linear.frequency_response import (
     worst_sinusoid,
 )
 from sim.linear.sampled_response import taylor4
-from sim.physics.simulate import simulate
-from sim.response.regime import ended_by
-from sim.response.response import Response
+from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import (
     HIGHEST,
@@ -241,8 +242,8 @@ def driven(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> It
     at_once = max(1, int(ENTRIES / (len(inputs[0].time) * len(inputs[0].vehicle.kind.signals))))
     for first in range(0, len(inputs), at_once):
         some = slice(first, first + at_once)
-        physics = simulate(controllers[some], inputs[some], threads=0)
-        yield from (physics.run(i) for i in range(len(inputs[some])))
+        cases = [Case(on.vehicle, one, on.road) for one, on in zip(controllers[some], inputs[some], strict=True)]
+        yield from (one.response for one in record(cases, inputs[0].time, threads=0))
 
 
 def _drive_worst(
@@ -261,10 +262,10 @@ def _drive_worst(
     lengths = [_told(loop, poles, count) for loop, poles, (_, count) in zip(loops, slow, samples, strict=True)]
     time = sample_times(vehicle, max(settling) + timestep * max(lengths), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
-    physics = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    for i, (loop, poles, omega, length) in enumerate(zip(loops, slow, tried, lengths, strict=True)):
-        steady = _steady(loop, physics.run(i), length, poles, omega * loop.period)
-        yield steady.samples(slice(-samples[i][1], None)), omega
+    runs = record([Case(vehicle, *each) for each in zip(controllers, roads, strict=True)], time, threads=0)
+    for run, loop, poles, omega, length, (_, count) in zip(runs, loops, slow, tried, lengths, samples, strict=True):
+        steady = _steady(loop, run.response, length, poles, omega * loop.period)
+        yield steady.samples(slice(-count, None)), omega
 
 
 def _steady(loop: Loop, response: Response, length: int, poles: Array, turn: float) -> Response:

@@ -16,9 +16,9 @@ from scipy.interpolate import barycentric_interpolate
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput, delays, jumps_under_wheels
+from sim.drive.response import Response
 from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
-from sim.response.response import Response
 from sim.runs.run import Run
 
 DEGREE = 8  # of the polynomial of a step

@@ -42,8 +42,8 @@ from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.response.jumps import Jumps
-from sim.response.response import Response
+from sim.drive.jumps import Jumps
+from sim.drive.response import Response
 from sim.studies.ride.weighting import LATE, filtered, sampled_wk
 from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of

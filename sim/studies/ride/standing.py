@@ -18,7 +18,7 @@ from models.document.field import Field, json_object
 from models.document.text import BEST, CHANGE, names_text, table_lines
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
-from sim.response.response import Response
+from sim.drive.response import Response
 from sim.studies.ride.metrics import Metric, dynamic_load, metrics_of, off_ground, points
 
 

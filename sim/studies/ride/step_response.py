@@ -19,7 +19,7 @@ from models.document.document import Block, Document, Table, notes
 from models.document.field import Field, json_object
 from models.roads.obstacles import Step
 from models.roads.road import Road
-from sim.response.response import loudest_alike
+from sim.drive.response import loudest_alike
 from sim.runs.run import Run
 from synth.controller.loop_of import HEIGHT, named
 

@@ -8,12 +8,16 @@ that mode needs.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.roads.obstacles import Flat
 from models.vehicle.vehicle import Vehicle
-from sim.physics.run_blocks import BatchInputs, in_blocks
+from sim.drive.case import Case
+from sim.drive.drive import drive
+from sim.observers.growth import Growth
 from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
 from synth.plant.state_space import StateSpace
 
@@ -23,7 +27,6 @@ CHANGE = 0.1  # of the size of a mode over its run, where it moves as much in ti
 SHORTEST, LONGEST, SLOW = 0.05, 0.15, 4.0  # s; of a run, unless its delay is longer, and of a slow mode
 CLEAR = 1e-5  # change of a mode over its run that is told from geometry and rounding
 SLOWEST = 8.0  # s; longer delays and sample periods are not run
-BLOCK = 512  # timesteps
 
 
 def no_progress(message: str) -> None:
@@ -145,18 +148,17 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
     vehicles, timestep = [_without_rate_limit(trial.vehicle) for trial in trials], loops[0].loop.step or 0.0
     starts = [loop.start(vehicle.limits.actuator_force) for loop, vehicle in zip(loops, vehicles, strict=True)]
     lengths = [round(_duration(loop) / loop.loop.period) * round(loop.loop.period / timestep) for loop in loops]
-    undelayed = [trial.undelayed for trial in trials]
-    road = np.zeros((max(lengths) + 1, len(trials), len(vehicles[0].kind.wheels)))
-    edges = [*range(0, len(road), BLOCK), len(road)]
-    controllers = [trial.controller.feedback for trial in trials]
-    course = BatchInputs(vehicles, controllers, road, road, timestep, edges, undelayed if any(undelayed) else None, start=starts)
-    rates = [math.nan] * len(trials)
-    for block in in_blocks(course):
-        for i, end in enumerate(lengths):
-            if block.start <= end < block.start + len(block.qpos):
-                state = np.concatenate([block.qpos[end - block.start, i], block.qvel[end - block.start, i]])
-                rates[i] = _rate(state, starts[i].motion, loops[i], end * timestep)
-    return rates
+    flat = Flat()
+    cases = [
+        Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed)
+        for vehicle, trial, start in zip(vehicles, trials, starts, strict=True)
+    ]
+    (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(Growth, lengths), streamed=True)
+    return [
+        _rate(state, one.start.motion, loop, end * timestep)
+        for state, one, loop, end in zip(states, cases, loops, lengths, strict=True)
+        if one.start is not None
+    ]
 
 
 def _without_rate_limit(vehicle: Vehicle) -> Vehicle:

@@ -9,10 +9,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-from sim.physics.step_derivative import step_derivative
 from sim.studies.stability.edge import no_progress, search_and_run
 from sim.studies.stability.margin_search import GainMargin
 from sim.studies.stability.simulated_loop import Trial
+from sim.studies.stability.step_derivative import step_derivative
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
 from synth.controller.controller import Controller

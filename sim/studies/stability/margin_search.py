@@ -13,11 +13,11 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
-from sim.physics.step_derivative import step_derivative
 from sim.runs.run import sample_times
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
 from sim.studies.stability.simulated_loop import Trial
+from sim.studies.stability.step_derivative import step_derivative
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
 from synth.controller.sample_period_margin import sampled_growth_at, sampled_part

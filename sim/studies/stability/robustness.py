@@ -18,16 +18,16 @@ from scipy import optimize
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, listing, quoted
 from models.kinds.kind import Variation, VehicleKind
-from models.roads.road import Bump, RoadInput
+from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
 from sim.linear.nonlinear_elements import at_rest
-from sim.physics.sensor_readout import reads_out
-from sim.physics.simulate import simulate
-from sim.physics.step_derivative import step_derivative
-from sim.runs.prediction import predict
+from sim.observers.recorder import record
+from sim.runs.prediction import Prediction
 from sim.runs.run import compare_runs, sample_times
 from sim.studies.stability.edge import no_progress
 from sim.studies.stability.simulated_loop import Trial, simulated_loop
+from sim.studies.stability.step_derivative import step_derivative
 from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.controller.controller import Controller
 
@@ -228,18 +228,10 @@ def _worst(norm: Callable[..., float], varied: Sequence[Variation]) -> tuple[tup
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
-    """Returns True for each trial whose linear response over the bump MuJoCo confirms; similar vehicles share a batch."""
-    controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
-    predictions = [predict(one, on) for one, on in zip(controllers, inputs, strict=True)]
-    alike: dict[bytes, list[int]] = {}  # curves have other numbers of straight lines on other vehicles
-    for i, on in enumerate(inputs):
-        alike.setdefault(reads_out(on.vehicle, on.timestep), []).append(i)
-    agree = dict[int, bool]()
-    for some in alike.values():
-        physics = simulate([controllers[i] for i in some], [inputs[i] for i in some], threads=0)
-        runs = compare_runs([predictions[i] for i in some], physics)
-        agree |= {i: run.agreement.agrees for i, run in zip(some, runs, strict=True)}
-    return [agree[i] for i in range(len(trials))]
+    """Returns True for each trial whose linear response over the bump MuJoCo confirms."""
+    runs = record([Case(trial.vehicle, trial.controller, BUMP) for trial in trials], time, threads=0)
+    predictions = [Prediction(run.input, trial.controller) for trial, run in zip(trials, runs, strict=True)]
+    return [run.agreement.agrees for run in compare_runs(predictions, runs)]
 
 
 def _changed(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> dict[str, float]:

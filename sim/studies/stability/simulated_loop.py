@@ -1,6 +1,6 @@
 """Loops as MuJoCo runs them, from one sample to the next: the derivative of MuJoCo's own step about equilibrium, and the law.
 
-The law is the one that is run (`sim.physics.driver.LinearDriver`). Forces are held over a sample, and those of the last samples
+The law is the one that is run (`sim.drive.driver.LinearDriver`). Forces are held over a sample, and those of the last samples
 are still pending where they act late.
 """
 
@@ -15,7 +15,7 @@ from models.common.arrays import Array
 from models.laws.linear import static_law
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
-from sim.physics.computer import InitialState
+from sim.drive.case import State
 from sim.studies.stability.delayed import mode, slowest_from_sample_to_sample
 from synth.controller.controller import Controller
 from synth.plant.loop import REQUESTED, HoldInterval, Loop
@@ -88,7 +88,7 @@ class SimulatedLoop:
         """Returns True if the loop is unstable."""
         return self.rate > STANDS
 
-    def start(self, limit: float | None) -> InitialState:
+    def start(self, limit: float | None) -> State:
         """Returns the start of a run in the slowest mode alone, which stays below a force limit [N]."""
         (z, vector), states = self.slowest, self.loop.plant.states
         moving = states.index(ACTING.format(0)) - self.lagging
@@ -100,7 +100,7 @@ class SimulatedLoop:
         scale = 1.0 if limit is None else min(1.0, FREE * limit / max(largest, FREE * limit))
         forces = np.array([*([first] if len(first) else []), *pending]).reshape(-1, len(acting))
         parts = np.concatenate([motion, lagging]), acting, law, rest, forces
-        return InitialState(*(np.real(scale * part) for part in parts))
+        return State(*(np.real(scale * part) for part in parts))
 
 
 def simulated_loop(step: StateSpace, trial: Trial) -> SimulatedLoop:

@@ -10,7 +10,7 @@ from models.common.printed import finite
 from models.document.document import Document, Table, notes
 from models.document.field import Field
 from models.roads.road import HIGHEST
-from sim.response.regime import END_NAMES
+from sim.drive.regime import END_NAMES
 from sim.studies.validity.grid import UNITS
 from sim.studies.validity.regime_map import Cells
 

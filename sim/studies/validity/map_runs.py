@@ -1,7 +1,7 @@
 """Bumps for a map of validity: by analysis, and in MuJoCo."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,14 @@ from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads
 from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Case
+from sim.drive.loop import runs_at_once
+from sim.drive.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
+from sim.drive.response import Response, difference
 from sim.linear.dampers import is_linear, squarable
 from sim.linear.sampled_response import sampled_responses
 from sim.linear.stepped import stepped
-from sim.physics.run_blocks import runs_at_once
-from sim.physics.simulate import PhysicsRuns, simulate
-from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
-from sim.response.response import Response, difference
+from sim.observers.recorder import Recording, record
 from synth.controller.controller import Controller
 
 AT_ONCE = 32  # runs in a batch: more would wait for the longest
@@ -97,33 +98,29 @@ def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time:
     for chunk in np.array_split(order, math.ceil(len(runs) / at_once)) if runs else ():
         controllers, roads, samples = zip(*(runs[i] for i in chunk), strict=True)
         until = time[: max(samples)]
-        physics = simulate(controllers, [RoadInput(vehicle, road, until) for road in roads], threads=0)
-        results |= zip(chunk.tolist(), _results(vehicle, controllers, roads, physics), strict=True)
+        cases = [Case(vehicle, controller, road) for controller, road in zip(controllers, roads, strict=True)]
+        results |= zip(chunk.tolist(), map(_result, controllers, record(cases, until, threads=0)), strict=True)
     return [results[i] for i in range(len(runs))]
 
 
-def _results(
-    vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], physics: PhysicsRuns
-) -> Iterator[MapRun]:
-    """Yields the results of runs."""
-    line, time = vehicle.linearised, physics.response.time
-    for i, (controller, road) in enumerate(zip(controllers, roads, strict=True)):
-        response, diverged = physics.response.run(i), float(physics.diverged[i])
-        times, missing = reached(vehicle, response, controller.has_anti_windup), math.nan
-        if not is_linear(vehicle, controller):
-            times[REGIME_ENDS.index(DAMPER)] = np.inf
-        if vehicle.parts.adjustable:
-            lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.parts.adjustable]))
-            requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.parts.adjustable]) + lost) ** 2)
-            missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
-        ended = float(times.min()) < diverged
-        broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if physics.ran_away[i] else DIVERGENCE
-        linear = sampled_responses(controller, [RoadInput(line, road, time)]).run(0)
-        yield MapRun(
-            float(np.nanmax(shares(vehicle, controller, response))),
-            int(first_end(times)) if ended else -1,
-            float(times.min()) if ended else math.inf,
-            broke_off,
-            largest_difference(vehicle, response, linear),
-            missing,
-        )
+def _result(controller: Controller, run: Recording) -> MapRun:
+    """Returns the result of a run."""
+    vehicle, response, diverged = run.vehicle, run.response, run.diverged
+    times, missing = reached(vehicle, response, controller.has_anti_windup), math.nan
+    if not is_linear(vehicle, controller):
+        times[REGIME_ENDS.index(DAMPER)] = np.inf
+    if vehicle.parts.adjustable:
+        lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.parts.adjustable]))
+        requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.parts.adjustable]) + lost) ** 2)
+        missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
+    ended = float(times.min()) < diverged
+    broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if response.ran_away else DIVERGENCE
+    linear = sampled_responses(controller, [RoadInput(vehicle.linearised, run.case.road, run.input.time)]).run(0)
+    return MapRun(
+        float(np.nanmax(shares(vehicle, controller, response))),
+        int(first_end(times)) if ended else -1,
+        float(times.min()) if ended else math.inf,
+        broke_off,
+        largest_difference(vehicle, response, linear),
+        missing,
+    )

@@ -15,11 +15,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.load import Load
-from models.roads.road import HIGHEST, Bump, Road, RoadInput
+from models.roads.road import HIGHEST, Bump, Road
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import simulate
-from sim.response.regime import END_NAMES
-from sim.response.response import Response
+from sim.drive.case import Case
+from sim.drive.regime import END_NAMES
+from sim.drive.response import Response
+from sim.observers.recorder import record
 from sim.runs.agreement import first_loose
 from sim.studies.validity.map_runs import MapRun, analysed_each, driven, largest_difference, loaded, shares
 from synth.controller.controller import Controller
@@ -76,15 +77,13 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
     """
     ends = enclosed(vehicle, controllers, [bump] * len(controllers), time)
     below = [(i, end) for i, end in enumerate(ends) if end is not None and end.stays > 0]
-    inputs = [RoadInput(vehicle, replace(bump, height=end.stays), time) for _, end in below]
     if not below:
         return ends
-    some = [controllers[i] for i, _ in below]
-    runs, analyses = simulate(some, inputs).response, analysed_each(vehicle, some, [road.road for road in inputs], time)
-    for k, (i, end) in enumerate(below):
-        run, analysis = runs.run(k), analyses[k]
-        until = first_loose(inputs[k], run)
-        ends[i] = replace(end, error=largest_difference(vehicle, run.until(until), analysis.until(until)))
+    cases = [Case(vehicle, controllers[i], replace(bump, height=end.stays)) for i, end in below]
+    analyses = analysed_each(vehicle, [controllers[i] for i, _ in below], [one.road for one in cases], time)
+    for (i, end), run, analysis in zip(below, record(cases, time), analyses, strict=True):
+        until = first_loose(run.input, run.response)
+        ends[i] = replace(end, error=largest_difference(vehicle, run.response.until(until), analysis.until(until)))
     return ends
 
 

@@ -23,8 +23,8 @@ from models.common.printed import percent
 from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
+from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
 from sim.linear.dampers import is_linear
-from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed

@@ -21,7 +21,7 @@ from models.document.text import names_text
 from models.roads.road import Bump
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
+from sim.drive.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
 from sim.runs.prediction import NONLINEAR
 from sim.studies.validity.edges import HEIGHT, edge_document, edges_object
 from sim.studies.validity.grid import UNITS, GridAxis

@@ -53,10 +53,10 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.physics.simulate import PhysicsRuns
-from sim.response.recursion import lag_stages, lagging
-from sim.response.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
-from sim.response.response import Response
+from sim.drive.recursion import lag_stages, lagging
+from sim.drive.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
+from sim.drive.response import Response
+from sim.observers.recorder import Recording
 
 if TYPE_CHECKING:
     from models.parts.damper_range import SetColumn
@@ -147,22 +147,23 @@ class Energy(Shown):
         return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))
 
 
-def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf) -> Energy:
+def energy(run: Recording, until: float = np.inf) -> Energy:
     """Returns the energy balance of one run.
 
     Args:
-        runs: N runs of MuJoCo.
+        run: run of MuJoCo.
         until: time at which the vehicle broke off [s], if before it diverged.
     """
-    vehicle, count = road.vehicle, int(np.searchsorted(road.time, min(until, runs.diverged[index])))
+    vehicle, road = run.vehicle, run.input
+    count = int(np.searchsorted(road.time, min(until, run.diverged)))
     if count < 2:
         return Energy(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if vehicle.dampers else None, 0.0 if road.loaded else None)
-    path = _Path(runs.qpos[index, :count], runs.qvel[index, :count], road)
-    response = runs.response.run(index).samples(slice(count))
-    work, least = _by_inputs(vehicle, path, response, runs.requested_force[index, :count])
+    path = _Path(run.qpos[:count], run.qvel[:count], road)
+    response = run.response.samples(slice(count))
+    work, least = _by_inputs(vehicle, path, response, run.commands[:count])
     by_loads = np.zeros((count - 1, 1))
     if road.loaded:  # loads are held and act along joints, so their work is exact
-        moved = np.diff(runs.qpos[index, :count, pushed_dofs(vehicle, path.model)].T, axis=0)
+        moved = np.diff(run.qpos[:count, pushed_dofs(vehicle, path.model)], axis=0)
         by_loads = road.held_loads[: count - 1] * moved
     by_road, lost = _by_tyres(path, road)
     damping = np.concatenate([path.model.tendon_damping, path.model.dof_damping])
@@ -294,7 +295,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
 
     Args:
         response: signals of physics at T samples.
-        requested: forces requested by the controller, see `PhysicsRuns`.
+        requested: forces requested by the controller, see `Recording.commands`.
     """
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
@@ -453,7 +454,7 @@ def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Arra
 
     Args:
         forces: forces of physics at the samples [N], shape (T, m).
-        requested: forces requested by the controller, see `PhysicsRuns`.
+        requested: forces requested by the controller, see `Recording.commands`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
     if limits.actuator_force is None or limits.limits_commands:

@@ -16,6 +16,12 @@ from models.vehicle.vehicle import Vehicle
 # MuJoCo's bindings carry no type stubs.
 
 
+def hardware(vehicle: Vehicle) -> tuple[object, ...]:
+    """Returns a key that is equal for vehicles with the same model in MuJoCo, whatever their controllers' implementations."""
+    curves, ratios, dampers = (one.values() for one in (vehicle.curves, vehicle.kind.ratios, vehicle.dampers))
+    return (*vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
+
+
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
     model, readout = prepared(vehicle, timestep)
@@ -80,7 +86,7 @@ def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequenc
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
     if any(one.acts and not one.native for one in vehicles[0].parts):
         from models.vehicle.suspension_forces import SuspensionForces
-        from sim.physics.part_steps import PartBatch
+        from sim.drive.part_steps import PartBatch
 
         tendons = [part.tendon for part in vehicles[0].kind.suspensions]
         return PartBatch(model, tendons, SuspensionForces(vehicles, by_motor=True), len(vehicles), models)

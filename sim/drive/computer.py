@@ -1,7 +1,7 @@
 """The controller's computer: it samples, measures with noise and quantisation, calls the driver, and delays its commands."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,8 +12,8 @@ from models.laws.python_law import Programmed, is_driver
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.actuators import Actuators, closing_names
-from sim.physics.driver import (
+from sim.drive.actuators import Actuators, closing_names
+from sim.drive.driver import (
     Driver,
     Failure,
     LinearDriver,
@@ -24,24 +24,6 @@ from sim.physics.driver import (
     SemiActiveDriver,
 )
 from synth.controller.controller import Controller
-
-
-@dataclass(frozen=True, eq=False)
-class InitialState:
-    """State of a run at its start, for forces without adjustable dampers.
-
-    Attributes:
-        motion: positions and velocities of MuJoCo, own states of parts, and activations, shape (nq + nv + k + na,).
-        acting: the forces that acted before [N], shape (m,).
-        law, undelayed: states of the controller, and of the second one, as they are run.
-        pending: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).
-    """
-
-    motion: Array
-    acting: Array
-    law: Array
-    undelayed: Array
-    pending: Array
 
 
 class Computer:
@@ -98,13 +80,19 @@ class Computer:
         noise = measurement_noise(how, drawn, samples)
         self._noise = noise[:, :, [drawn.index(name) for name in driver.measured]] if len(noise) else None
 
-    def resume(self, states: Sequence[Array], pending: Sequence[Sequence[Array] | Array], commands: Array) -> None:
-        """Sets the states of its runs at the start, their pending forces and the command that acts until the first arrives."""
-        for i, (state, forces) in enumerate(zip(states, pending, strict=True)):
+    def resume(self, starts: Mapping[int, tuple[Array, Sequence[Array] | Array]], commands: Array) -> None:
+        """Sets the states and pending forces of its runs at the start, and the commands that act until the first arrive.
+
+        Args:
+            starts: state of the driver and pending forces of each run that does not start at rest, by its number in the batch.
+            commands: commands of all runs of the batch, shape (N, size), which change in place.
+        """
+        for i, number in enumerate(np.arange(len(commands))[self.runs].tolist()):
+            state, forces = starts.get(number, ((), ()))
             self._state[i, : len(state)] = state
             if len(forces):
                 self._waiting[-len(forces) :, i] = forces  # before sample 0
-                commands[np.arange(len(commands))[self.runs][i]] = forces[0]
+                commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
@@ -186,7 +174,7 @@ def driver_of(
     """
     first, some = controllers[0], cast("Any", controllers)
     if first.code is not None:
-        from sim.physics.exported_code import CodeDriver
+        from sim.drive.exported_code import CodeDriver
 
         return CodeDriver(some)
     match first:

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics.sensor_readout import batch_of, prepared, states_of_parts
+from sim.drive.sensor_readout import batch_of, prepared, states_of_parts
 from synth.plant.state_space import StateSpace
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends

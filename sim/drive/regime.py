@@ -13,8 +13,8 @@ from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.parts import part as parts
 from models.parts.part import Stack
 from models.vehicle.vehicle import Vehicle
-from sim.response.recursion import way_in_step
-from sim.response.response import Response
+from sim.drive.recursion import way_in_step
+from sim.drive.response import Response
 
 if TYPE_CHECKING:
     from models.parts.part import SuspensionPart

@@ -3,7 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,15 +15,15 @@ from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics import RUNS_AT_ONCE
-from sim.physics.actuators import Actuators, closing_names
-from sim.physics.computer import Computer, InitialState, driver_of, implementation_around, kind_of
-from sim.physics.driver import Failure, RunDriver
-from sim.physics.sensor_readout import batch_of, beside_reading, mix, prepared, sensed_stage, states_of_parts
-from synth.controller.controller import Controller
+from sim.drive import RUNS_AT_ONCE
+from sim.drive.actuators import Actuators, closing_names
+from sim.drive.case import Batch
+from sim.drive.computer import Computer, driver_of, implementation_around, kind_of
+from sim.drive.driver import RunDriver
+from sim.drive.sensor_readout import batch_of, beside_reading, hardware, mix, prepared, sensed_stage, states_of_parts
 
 if TYPE_CHECKING:
-    from sim.physics.part_steps import PartBatch
+    from sim.drive.part_steps import PartBatch
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
@@ -42,7 +41,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
         overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
-        requested_force: commands of the actuators, see `sim.physics.actuators`, shape (B, N, m) or (B, N, 2 m).
+        requested_force: commands of the actuators, see `sim.drive.actuators`, shape (B, N, m) or (B, N, 2 m).
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
         measured: signals at the controllers' samples as they are read, without noise and quantisation, then closing velocities,
             shape (B, N, s); NaN at the other timesteps.
@@ -82,10 +81,12 @@ class Block:
         """Returns True at the samples that a run does not go beyond, shape (B, N)."""
         return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
 
-    def clip(self, runs: Array) -> None:
-        """Replaces non-finite values of some runs, a mask of shape (N,), by 0, and clips theirs to `DIVERGED`, in place."""
-        values = np.nan_to_num(self.values[..., runs], nan=0.0, posinf=0.0, neginf=0.0)
-        self.values[..., runs] = np.clip(values, -DIVERGED, DIVERGED)
+    def clip(self, gone: Array) -> None:
+        """Clips values at the samples of a mask, shape (B, N), to `DIVERGED`, in place; what is no number becomes 0."""
+        runs = gone.any(axis=0)
+        values = self.values[..., runs]
+        finite = np.clip(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), -DIVERGED, DIVERGED)
+        self.values[..., runs] = np.where(gone[:, None, runs], finite, values)
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
@@ -93,104 +94,28 @@ def runs_at_once(samples: int, wheels: int) -> int:
     return max(1, min(RUNS_AT_ONCE, MOST_HEIGHTS // (samples * wheels)))
 
 
-@dataclass(frozen=True, eq=False)
-class BatchInputs:
-    """N runs from rest to be stepped, each over its road.
-
-    Attributes:
-        vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
-        controllers: N controllers, or known commands.
-        now: road heights at the samples [m], shape (T, N, r).
-        midway: heights at which MuJoCo holds them over the steps.
-        timestep: [s].
-        edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
-        undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
-        start: state of each run at its start, or None for rest.
-        beyond: road heights at the samples after the last [m], shape (E, N, r), for controllers that preview them, or None.
-        failures: failures of laws in Python by run, for the caller to read: such a run continues without forces. None to raise
-            the first failure.
-        held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
-            (T, N, l + r); None if there are none.
-        effects: loads in the signals of the samples and in the measurements, see `RoadInput.in_signals`, each as `held`; None
-            without loads.
-        beyond_edges: road heights on the other side of vertical edges [m], shape (N, r), by sample.
-    """
-
-    vehicles: Sequence[Vehicle]
-    controllers: Sequence[RunDriver]
-    now: Array
-    midway: Array
-    timestep: float
-    edges: Sequence[int]
-    undelayed: Sequence[Controller | None] | None = None
-    start: Sequence[InitialState] | None = None
-    beyond: Array | None = None
-    failures: dict[int, Failure] | None = None
-    held: Array | None = None
-    effects: tuple[Array, Array] | None = None
-    beyond_edges: Mapping[int, Array] = field(default_factory=dict[int, Array])
-
-
-def in_blocks(course: BatchInputs) -> Iterator[Block]:
-    """Yields the runs of `simulate` in blocks of samples: only the roads need be held whole."""
-    (blocks,) = in_shares(course, [slice(None)])
-    yield from blocks(lambda: False)
-
-
-def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
-    """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
+class Loop:
+    """The simulation loop: read, compute, apply, move the road, step.
 
     The numbers of a run are the same bit for bit, whatever runs of its controller are beside it, and however they are shared or
     cut into blocks: no product of matrices has an order of summation that depends on the number of runs.
-
-    Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
-    on a busy machine for each other.
     """
-    loop = _Loop(course)
-    return [functools.partial(_quietly, loop, runs) for runs in shares]
 
-
-def _quietly(loop: "_Loop", runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
-    """Yields the blocks of some runs without warnings of MuJoCo or numpy."""
-    blocks = loop.blocks(runs, stopped)
-    with quiet():
-        while True:
-            with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
-                block = next(blocks, None)
-            if block is None:
-                return
-            yield block
-
-
-class _Loop:
-    """The simulation loop: read, compute, apply, move the road, step."""
-
-    def __init__(self, course: BatchInputs) -> None:
-        """Prepares what all shares of the runs have in common."""
-        self.course, self.vehicles = course, course.vehicles
-        first, timestep = self.vehicles[0], course.timestep
+    def __init__(self, batch: Batch) -> None:
+        """Prepares what all parts of a batch have in common."""
+        first, timestep = batch.vehicles[0], batch.timestep
         self.model, self.readout = prepared(first, timestep)
-        distinct = {id(other): other for other in self.vehicles}
-        self.hardware = {
-            key: (
-                *other.parameters.values(),
-                *other.curves.values(),
-                *other.kind.ratios.values(),
-                other.limits,
-                *other.dampers.values(),
-            )
-            for key, other in distinct.items()
-        }
+        distinct = {id(other): other for other in batch.vehicles}
+        self.hardware = {key: hardware(other) for key, other in distinct.items()}
         one_of = {self.hardware[key]: other for key, other in distinct.items()}
         self.models = {}
         if len(one_of) > 1:
             self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
-        now, beyond = course.now, course.beyond
-        self.heights = now if beyond is None or not len(beyond) else np.concatenate([now, beyond])
         # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
         # that the reading lacks is added.
         readout = self.readout
-        named = {name for one in (*course.controllers, *(course.undelayed or ())) if one is not None for name in one.measured}
+        controllers = [one for case in batch.cases for one in (case.driver, case.undelayed) if one is not None]
+        named = {name for one in controllers for name in one.measured}
         self.seen = [i for i, name in enumerate(readout.names) if name in named]
         self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))
         of_sensors = [i for i in self.seen if not readout.linear[i]]
@@ -199,28 +124,26 @@ class _Loop:
         self.fresh = self.stage > int(mujoco.mjtStage.mjSTAGE_VEL)
         self.after = 0 if self.fresh else self.stage  # what is evaluated after a step for the next reading
 
-    def _computers(self, runs: slice, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
-        """Returns the started computers of some of the runs, and those of their second controllers without implementation."""
-        course, vehicles = self.course, self.vehicles[runs]
-        how = [implementation_around(*one) for one in zip(course.controllers[runs], vehicles, strict=True)]
-        numbers = range(len(self.vehicles))[runs]
-        first = self._group(course.controllers[runs], vehicles, how, runs, actuators, numbers)
-        if course.undelayed is None:
+    def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
+        """Returns the started computers of a batch, and those of its second controllers without implementation."""
+        vehicles, seconds = batch.vehicles, [one.undelayed for one in batch.cases]
+        how = [implementation_around(*one) for one in zip(batch.drivers, vehicles, strict=True)]
+        first = self._group(batch, batch.drivers, vehicles, how, actuators)
+        if not any(seconds):
             return first, []
         ideal = [replace(vehicle, implementation=Implementation()) for vehicle in vehicles]
-        return first, self._group(course.undelayed[runs], ideal, [Implementation()] * len(ideal), runs, actuators, numbers)
+        return first, self._group(batch, seconds, ideal, [Implementation()] * len(ideal), actuators)
 
     def _group(
         self,
+        batch: Batch,
         controllers: Sequence[RunDriver | None],
         vehicles: Sequence[Vehicle],
         how: Sequence[Implementation],
-        share: slice,
         actuators: Actuators,
-        numbers: Sequence[int],
     ) -> list[Computer]:
         """Returns the started computers of some runs: one per kind of driver and sample period."""
-        course, timestep = self.course, self.course.timestep
+        timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
             if one is not None:
@@ -231,10 +154,9 @@ class _Loop:
             cars, around = [vehicles[i] for i in some], [how[i] for i in some]
             if mine[0].code is not None:
                 around = [replace(one, delay=0.0, quantisation={}) for one in around]  # the code has its own
-            driver = driver_of(mine, course.failures, [numbers[i] for i in some])
-            heights = self.heights[:, share][:, some]
+            driver = driver_of(mine, batch.failures, [batch.numbers[i] for i in some])
             runs = slice(None) if len(some) == len(vehicles) else np.array(some)
-            computers.append(Computer(driver, runs, cars, around, actuators, names, heights, timestep, len(course.now)))
+            computers.append(Computer(driver, runs, cars, around, actuators, names, roads[:, some], timestep, len(batch.now)))
         return computers
 
     def _map(self, actuators: Actuators) -> Array:
@@ -255,32 +177,43 @@ class _Loop:
         closing[:, : actuators.closing.shape[1]] = actuators.closing
         return np.concatenate([signals, closing])[None]
 
-    def _unread(self, block: slice, runs: slice, before: Array, actuators: Actuators) -> Array:
+    def _unread(self, level: Array, before: Array, actuators: Actuators) -> Array:
         """Returns what the measured signals and closing velocities contain beside a reading, shape (B, N, s + m)."""
-        level = self.course.now[block, runs]
         unmoved = np.zeros_like(level) if self.fresh else level - before
         signals = beside_reading(level, self.readout, self.seen, True) + beside_reading(unmoved, self.readout, self.seen, False)
         still = np.broadcast_to(actuators.at_rest, (*signals.shape[:2], len(actuators.at_rest)))
         return np.concatenate([signals, still], axis=-1)
 
-    def blocks(self, runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
-        """Yields the blocks of some of the runs."""
-        course, readout, vehicles, stage, fresh = self.course, self.readout, self.vehicles[runs], self.stage, self.fresh
-        count = len(vehicles)
-        batch = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
+    def blocks(self, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
+        """Yields the blocks of a batch, or of a part, without warnings of MuJoCo or numpy, until told to stop.
+
+        Args:
+            edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
+        """
+        blocks = self._blocks(batch, edges, stopped)
+        with quiet():
+            while True:
+                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
+                    block = next(blocks, None)
+                if block is None:
+                    return
+                yield block
+
+    def _blocks(self, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
+        readout, vehicles, stage, fresh, count = self.readout, batch.vehicles, self.stage, self.fresh, len(batch.cases)
+        physics = batch_of(self.model, vehicles, [self.models[self.hardware[id(one)]] for one in vehicles] if self.models else ())
         actuators = Actuators(vehicles, readout)
-        over_travel = cast("PartBatch", batch) if actuators.over_travel else None
-        computers, undelayed = self._computers(runs, actuators)
-        recorder = _Recorder(self, vehicles, actuators)
-        now, midway = course.now[:, runs], course.midway[:, runs]
-        in_signals, in_readings = (None, None) if course.effects is None else (one[:, runs] for one in course.effects)
+        over_travel = cast("PartBatch", physics) if actuators.over_travel else None
+        computers, undelayed = self._computers(batch, actuators)
+        signals_of, now, midway = _Signals(self, vehicles, actuators), batch.now, batch.midway
+        in_signals, in_readings = (None, None) if batch.effects is None else batch.effects
         felt, of_reading = readout.felt, self._map(actuators)
-        controls, heights, sensors = batch.bind("ctrl"), batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata").T
+        controls, heights, sensors = physics.bind("ctrl"), physics.bind("mocap_pos")[:, :, 2], physics.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
-        motion, activations = batch.state[:, 1 : 1 + moved], batch.bind("act")  # (qpos, qvel) after the time
-        own, sensed_to = states_of_parts(batch), width - readout.of_parts.shape[1]
-        measured, held = batch.bind("sensordata")[:, self.sensors], None if course.held is None else course.held[:, runs]
-        pushed, loads, (wheels, tyres) = batch.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
+        motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")  # (qpos, qvel) after the time
+        own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
+        measured, held = physics.bind("sensordata")[:, self.sensors], batch.held
+        pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
         # Accelerations of runs with loads are others inside the step, under another load.
@@ -289,25 +222,23 @@ class _Loop:
         at_sample = np.ix_(late, loaded)
         under_load = sensors[at_sample]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
-        if course.start is not None:
-            starts = course.start[runs]
-            for i, one in enumerate(starts):
+        starts = {i: one.start for i, one in enumerate(batch.cases) if one.start is not None}
+        if starts:
+            for i, one in starts.items():
                 motion[i], own[i], activations[i] = np.split(one.motion, [moved, moved + own.shape[1]])
                 actuators.apply(controls[i : i + 1], one.acting[None])
             for computer in computers:
-                mine = [starts[i] for i in np.arange(count)[computer.runs]]
-                computer.resume([one.law for one in mine], [one.pending for one in mine], commands)
+                computer.resume({i: (one.law, one.pending) for i, one in starts.items()}, commands)
             for computer in undelayed:
-                mine = [starts[i] for i in np.arange(count)[computer.runs]]
-                computer.resume([one.undelayed for one in mine], [()] * len(mine), more)
-        batch.forward(stage=stage)
-        sampled = {k for one in (*computers, *undelayed) for k in range(0, course.edges[-1], one.period)}
+                computer.resume({i: (one.undelayed, ()) for i, one in starts.items()}, more)
+        physics.forward(stage=stage)
+        sampled = {k for one in (*computers, *undelayed) for k in range(0, edges[-1], one.period)}
         names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))
         states = max((one.used.shape[1] for one in computers), default=0)
-        for start, end in itertools.pairwise(course.edges):
+        for start, end in itertools.pairwise(edges):
             block, length = slice(start, end), end - start
             before = midway[start - 1 : end - 1] if start else np.concatenate([np.zeros_like(now[:1]), midway[: end - 1]])
-            unread, level = self._unread(block, runs, before, actuators), now[block]
+            unread, level = self._unread(now[block], before, actuators), now[block]
             readings, requested = np.empty((length, count, width)), np.empty((length, count, actuators.size))
             roads, sensed = np.zeros((length, *heights.shape)), np.empty((length + 1, *sensors.shape))
             roads[..., readout.mocap], sensed[0] = midway[block], sensors
@@ -323,7 +254,7 @@ class _Loop:
                         if in_readings is not None:
                             pushed[:, readout.pushed] = in_readings[k, :, :loads]
                         heights[:, readout.mocap] = level[i]
-                        batch.forward()
+                        physics.forward()
                     if stage:
                         reading[:, moved:sensed_to] = measured
                     np.matvec(of_reading, reading, out=signals)
@@ -353,20 +284,18 @@ class _Loop:
                         controls[:, tyres] = held[k][:, speeds]
                 if felt or in_signals is not None:
                     heights[:, readout.mocap] = level[i]
-                    batch.forward()
+                    physics.forward()
                     sensed[i + 1] = sensors
                     under_load = sensors[at_sample]
-                if k in course.beyond_edges:
-                    side = course.beyond_edges[k][runs][None]
+                if k in batch.sides:
+                    side = batch.sides[k][None]
                     heights[:, readout.mocap] = side[0]
-                    batch.forward()
-                    others[k] = recorder.signals(sensors[None], reading[None], side, side, side, requested[[i]], acts[i : i + 1])[
-                        0
-                    ]
+                    physics.forward()
+                    others[k] = signals_of(sensors[None], reading[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
                 if in_signals is not None and held is not None:
                     pushed[:, readout.pushed] = held[k, :, :loads]
                 heights[...] = roads[i]
-                batch.step(stage=self.after)
+                physics.step(stage=self.after)
                 if not felt:
                     sensed[i + 1] = sensors
                     if in_signals is not None:
@@ -374,16 +303,16 @@ class _Loop:
             if self.after and not felt:
                 # The evaluation after a step has overwritten the step's own readings with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]
-            values = recorder.signals(sensed[1:], readings, level, midway[block], before, requested, acts)
-            largest, overflowed = recorder.extremes(values, requested, kept)
+            values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
+            largest, overflowed = signals_of.extremes(values, requested, kept)
             positions, velocities = readings[..., :nq], readings[..., nq:moved]
             yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names, others)
 
 
-class _Recorder:
+class _Signals:
     """Signals of the samples, from what MuJoCo sensed: inside the step with the road midway, or before it with the last road."""
 
-    def __init__(self, loop: _Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
+    def __init__(self, loop: Loop, vehicles: Sequence[Vehicle], actuators: Actuators) -> None:
         readout, first = loop.readout, vehicles[0]
         names = [signal.name for signal in first.kind.signals]
         self.readout, self.after, self.actuators = readout, loop.after, actuators
@@ -395,7 +324,7 @@ class _Recorder:
         self.inside = readout.stage > loop.after
         self.unclipped = np.array([_unclipped(one) for one in vehicles]).T
 
-    def signals(
+    def __call__(
         self, sensed: Array, readings: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array
     ) -> Array:
         """Returns the signals of a block, shape (B, S, N).

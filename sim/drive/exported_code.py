@@ -12,8 +12,8 @@ from models.common.errors import InputError
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import command_limiter
 from models.vehicle.vehicle import Vehicle
-from sim.physics.actuators import closing_names
-from sim.physics.driver import Request, SemiActiveDriver
+from sim.drive.actuators import closing_names
+from sim.drive.driver import Request, SemiActiveDriver
 from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
@@ -40,7 +40,7 @@ class CodeDriver:
         self.measured = self._law.inputs[: self._law.readings]
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
-        """See `sim.physics.driver.Driver.start`.
+        """See `sim.drive.driver.Driver.start`.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.

@@ -1,7 +1,7 @@
 """Control laws of N runs side by side, from measurements to requests: linear, semi-active, in Python, and known commands.
 
 A driver receives the measurements after noise and quantisation. The request that it returns passes through the computer's delay
-(`sim.physics.computer`) and the actuators (`sim.physics.actuators`). `sim.physics.exported_code` has the driver of exported code.
+(`sim.drive.computer`) and the actuators (`sim.drive.actuators`). `sim.drive.exported_code` has the driver of exported code.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.actuators import closing_names
+from sim.drive.actuators import closing_names
 from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Driver(Protocol):
     def measured(self) -> tuple[str, ...]:
         """Names of the q signals that it reads, in their order.
 
-        Names of `sim.physics.actuators.closing_names` are those of the closing velocities of suspensions [m/s].
+        Names of `sim.drive.actuators.closing_names` are those of the closing velocities of suspensions [m/s].
         """
         ...
 
@@ -72,7 +72,7 @@ class Driver(Protocol):
         """Meaning of what it returns.
 
         "forces" [N] and "coefficients" of all dampers [N s/m] have shape (N, m), and actuators limit them. "commands" are applied
-        unchanged, see `sim.physics.actuators.Actuators`.
+        unchanged, see `sim.drive.actuators.Actuators`.
         """
         ...
 

@@ -14,7 +14,7 @@ from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from sim.physics.sensor_readout import Readout
+    from sim.drive.sensor_readout import Readout
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class Actuators:
         """Returns the commands of some of the runs, shape (d, size).
 
         Args:
-            requested: requests of their driver, see `sim.physics.driver.Driver`.
+            requested: requests of their driver, see `sim.drive.driver.Driver`.
             closing: closing velocities [m/s], shape (d, m) or (d, 0).
             which: indices of the runs.
         """

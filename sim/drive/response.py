@@ -149,7 +149,7 @@ class Response(Shown):
 
     @property
     def ran_away(self) -> bool:
-        """Returns True if a single run of physics ended because the states of its law diverged; see `PhysicsRuns.kept`."""
+        """Returns True if a single run of physics ended because the states of its law diverged; see `Recording.response`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Any:

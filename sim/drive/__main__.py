@@ -3,7 +3,7 @@
 if __name__ == "__main__":
     from models.common.cli import run
 
-    run("sim.drive")
+    run("sim.drive.__main__")
 
 from collections.abc import Sequence
 

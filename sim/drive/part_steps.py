@@ -20,7 +20,7 @@ from models.common.arrays import Array
 from models.parts.native import MOTOR
 from models.vehicle.mjcf import FITTED
 from models.vehicle.suspension_forces import SuspensionForces
-from sim.response.recursion import SHARES, WEIGHTS
+from sim.drive.recursion import SHARES, WEIGHTS
 
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)

@@ -1,0 +1,75 @@
+"""Ends: when and how the linear regime of each run ends, and what broke it off."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from sim.drive.case import Batch
+from sim.drive.loop import Block
+from sim.drive.regime import DIVERGENCE, END_NAMES, FLAT, LAW_OVERFLOW, REGIME_ENDS, EndDetector
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Ends of one run.
+
+    Attributes:
+        times: first time of each of `REGIME_ENDS` [s], shape (E,), or infinity.
+        diverged: time at which the run diverged [s], or infinity.
+        ran_away: True if it diverged by the states of its law alone.
+    """
+
+    times: Array
+    diverged: float
+    ran_away: bool
+
+    @property
+    def flat(self) -> float:
+        """The time at which a tyre is first fully compressed [s], or infinity."""
+        return float(self.times[REGIME_ENDS.index(FLAT)])
+
+    @cached_property
+    def until(self) -> float:
+        """The time before which the run is linear [s], or infinity."""
+        return min(float(self.times.min()), self.diverged)
+
+    @property
+    def by(self) -> str | None:
+        """The name of what ended the linear regime, or None."""
+        if math.isinf(self.until):
+            return None
+        broken = LAW_OVERFLOW if self.ran_away else DIVERGENCE
+        return broken if self.diverged <= self.times.min() else END_NAMES[int(self.times.argmin())]
+
+    @property
+    def broke_off(self) -> str | None:
+        """The event after which all numbers are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; None without one."""
+        if self.flat < self.diverged:
+            return FLAT.name
+        return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.ran_away else DIVERGENCE
+
+
+class Ends:
+    """Detects the ends of the linear regime of N runs."""
+
+    def __init__(self, batch: Batch) -> None:
+        """Prepares the runs of a batch."""
+        laws = [one.has_anti_windup for one in batch.drivers]
+        self._batch, self._detector = batch, EndDetector(batch.vehicles, batch.time, anti_windup=laws)
+
+    @property
+    def until(self) -> Array:
+        """The time before which each run is linear in the blocks so far [s], shape (N,), or infinity."""
+        return np.minimum(self._detector.first, self._batch.diverged)
+
+    def take(self, block: Block) -> None:
+        """Takes the next block."""
+        self._detector.update(block.start, block.values)
+
+    def result(self) -> list[End]:
+        """Returns the ends of every run."""
+        each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.ran_away.tolist(), strict=True)
+        return [End(*one) for one in each]

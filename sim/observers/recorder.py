@@ -1,0 +1,105 @@
+"""Recorder: every sample of a run, of signals, states, measurements and commands."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.signals import kept_signals
+from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Batch, Case
+from sim.drive.drive import drive
+from sim.drive.driver import RunDriver
+from sim.drive.jumps import Jumps
+from sim.drive.loop import Block
+from sim.drive.response import Response
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of MuJoCo.
+
+    Attributes:
+        case: the run.
+        input: its road at the samples.
+        response: the vehicle's signals, then the states of a linear law at its last sample. From the run's divergence on signals
+            are NaN, and states are infinite where they ran away, else NaN.
+        qpos: generalized positions, shape (T, nq), to draw a run.
+        qvel: generalized velocities, shape (T, nv).
+        measured: each signal, and closing velocity, at the controller's samples, see `Block.measured`, shape (T,).
+        commands: commands of the actuators at every timestep, see `sim.drive.actuators`, shape (T, m) or (T, 2 m).
+    """
+
+    case: Case
+    input: RoadInput
+    response: Response
+    qpos: Array
+    qvel: Array
+    measured: Mapping[str, Array]
+    commands: Array
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle."""
+        return self.case.vehicle
+
+    @property
+    def driver(self) -> RunDriver:
+        """The controller, or known commands."""
+        return self.case.driver
+
+    @cached_property
+    def diverged(self) -> float:
+        """The time at which the run diverged [s], or infinity."""
+        return self.response.diverged
+
+    @property
+    def law_states(self) -> Array:
+        """States of a linear law at its last sample, shape (T, k)."""
+        return self.response.values[:, len(self.vehicle.kind.signals) :]
+
+
+class Recorder:
+    """Records N runs."""
+
+    def __init__(self, batch: Batch) -> None:
+        """Prepares the recording of a batch."""
+        self._batch, self._blocks = batch, list[Block]()
+
+    def take(self, block: Block) -> None:
+        """Takes the next block."""
+        self._blocks.append(block)
+
+    def result(self) -> list[Recording]:
+        """Returns the recording of every run."""
+        batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
+        names = ("values", "qpos", "qvel", "requested_force", "kept", "measured")
+        arrays = {name: np.concatenate([getattr(one, name) for one in self._blocks]) for name in names if len(self._blocks) > 1}
+        values, qpos, qvel, commands, kept, measured = (arrays.get(name, getattr(first, name)) for name in names)
+        time, gone = batch.time, batch.time[:, None] >= batch.diverged
+        values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
+        response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))
+        if vehicle.dampers:
+            jumps = Jumps(batch.vehicles, vehicle.linear_model.outputs)(values)
+            response = replace(response, before={name: response[name] - jump for name, jump in jumps.items()})
+        if others := {k: other.T for one in self._blocks for k, other in one.others.items()}:
+            response = response.with_sides(others)
+        recordings = []
+        for i, (case, on) in enumerate(zip(batch.cases, batch.inputs, strict=True)):
+            period = steps_per_sample(case.vehicle.implementation, batch.timestep) * batch.timestep
+            states = kept[:, i, : case.driver.states] * case.driver.state_scale(period)
+            states[gone[:, i]] = np.inf if batch.ran_away[i] else np.nan
+            one = response.run(i).beside(kept_signals(range(1, case.driver.states + 1)), states)
+            seen = dict(zip(first.names, measured[:, i].T, strict=True))
+            recordings.append(Recording(case, on, one, qpos[:, i], qvel[:, i], seen, commands[:, i]))
+        return recordings
+
+
+def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:
+    """Returns the recordings of some cases at sample times [s]; arguments as of `drive`."""
+    (recordings,) = drive(cases, time, Recorder, threads=threads)
+    return recordings
