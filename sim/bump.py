@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
-from sim.command.road_options import add_run_options, add_vehicles
+from sim.command.road_options import add_run_options, add_start, add_vehicles
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -37,6 +37,7 @@ def parser() -> Parser:
         "sim.bump", "Drive over one bump in MuJoCo and in linear analysis, compare the responses, and record them.", EPILOG
     )
     add_vehicles(parser)
+    add_start(parser)
     parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
     parser.add_number("--speed", BUMP_SPEED, "m/s", "speed of the vehicle; other units, such as 90km/h, are allowed")

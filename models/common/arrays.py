@@ -72,13 +72,16 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     return matrix, size
 
 
-def recursion(Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
+def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
+    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = `start`, or 0, shape (..., T, n) like the forcing.
 
     Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
     stretches from rest come first, side by side, and then what each adds to those behind it.
     """
     *runs, samples, n = forcing.shape
+    if start is not None:  # a step from 0 leads to the start
+        first = np.broadcast_to(start, (*runs, 1, n))
+        return recursion(Phi, np.concatenate([first, forcing], axis=-2))[..., 1:, :]
     length = math.isqrt(samples) + 1
     stretches = -(-samples // length)
     padded = np.zeros((*runs, stretches * length, n))

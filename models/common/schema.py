@@ -367,15 +367,15 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
             unit = f" [{key.unit}]" if key.unit else ""
             raise InputError(f"{where} {name} is missing; give {name}{unit}: {key.meaning}".lstrip())
         if name in given and (given[name] is not None or usual is not None):  # a log has null for what is not given
-            with _placed(where, [name]):
+            with placed(where, [name]):
                 values[name] = key.read(given[name], {**seen, **context})
         seen[name] = values.get(name, usual)
-    with _placed(where, []):
+    with placed(where, []):
         return section(**values)
 
 
 @contextmanager
-def _placed(where: str, path: Sequence[str]) -> Iterator[None]:
+def placed(where: str, path: Sequence[str]) -> Iterator[None]:
     """Names section and key in the message of an InputError, in the place of `HERE`, or at its beginning."""
     try:
         yield

@@ -15,7 +15,7 @@ from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
-from models.common.schema import AnyTable, Section, Text, keys, read
+from models.common.schema import AnyTable, BySignal, Section, Text, keys, placed, read
 from models.document.document import Document
 from models.document.figure import Figure
 from models.document.text import Shown, facts
@@ -114,11 +114,13 @@ class VehicleFile(Section):
     actuators: Annotated[Entries, AnyTable("actuators, or semi-active dampers")] = field(default_factory=dict)
     payload: Annotated[Entries, AnyTable("point masses on the body")] = field(default_factory=dict)
     parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
+    start: Annotated[Entries, AnyTable("state at the start of runs, for drops and releases")] = field(default_factory=dict)
     seat: Annotated[Entries, AnyTable("a person on a seat above the body")] | None = None
     plane: Annotated[str, Text("plane in which a half-car moves, below its type: pitch (default) or roll")] = ""
 
 
 SECTIONS = tuple(keys(VehicleFile))
+LIFTED, FASTEST = "height", 1e3  # name of the height of a drop in `[start]`; largest number there [SI]
 PERSON = (
     " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
     "KIND of"
@@ -148,6 +150,7 @@ class Vehicle(Shown):
         sums: weighted sums of signals in z (34), after the signals.
         elements: force elements of `[parts]`.
         force_limits: limits with those of actuators that push, for the controllers that drive these instead of the dampers.
+        start: state at the start of runs beyond rest, by name of the state; empty for rest. See `starting`.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -170,6 +173,7 @@ class Vehicle(Shown):
     sums: tuple[WeightedSum, ...] = ()
     force_limits: Limits | None = None
     elements: "tuple[Element, ...]" = ()
+    start: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -186,6 +190,37 @@ class Vehicle(Shown):
             if name not in self.kind.possible or weight < 0:
                 known = listing(signal.name for signal in self.kind.signals)
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {known}")
+
+    def starting(self, **start: float | str) -> "Vehicle":
+        """Returns the vehicle with another state at the start of its runs, for drops and releases; without arguments from rest.
+
+        Args:
+            start: states of the linear model, such as `suspension_deflection`, and `height`, by which the whole vehicle is lifted
+                above the road [SI], or texts with a unit, such as "20 mm". States that are not given are those at rest.
+
+        Raises:
+            InputError: a name is not known, or a value is not a number in its unit.
+
+        Example:
+            >>> from models import read_vehicle
+            >>> read_vehicle("quarter_car").starting(height="50 mm").start_state
+            array([0.  , 0.05, 0.  , 0.  ])
+        """
+        return replace(self, start=self._read_start(start))
+
+    def _read_start(self, start: Mapping[str, Any]) -> dict[str, float]:
+        units = {name: self.kind.signal(name).unit for name in self.linear_model.states} | {LIFTED: "m"}
+        with placed("[start]", []):
+            return BySignal("", "states", -FASTEST, FASTEST).read(start, {"states": units}) if start else {}
+
+    @cached_property
+    def start_state(self) -> Array | None:
+        """Difference of the state at the start of runs from rest, shape (n,); None for rest."""
+        if not self.start:
+            return None
+        model = self.linear_model
+        lifted = -self.start.get(LIFTED, 0.0) * model.jump.sum(axis=1)  # as if the road lay lower
+        return lifted + [self.start.get(name, 0.0) for name in model.states]
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, its controllers as they are.
@@ -687,6 +722,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         dampers=dampers,
         elements=elements,
     )
+    if given.start:
+        vehicle = vehicle.starting(**given.start)
     if dampers or vehicle_kind.ratios:
         _ = vehicle.parts.with_curve  # these go together, and have few enough lines
     for entry in controllers.values():

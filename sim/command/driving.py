@@ -19,7 +19,7 @@ from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.road_options import end_lines, gaps, starts_later
+from sim.command.road_options import end_lines, gaps, started, starts_later
 from sim.drive.response import Response
 from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
@@ -187,7 +187,7 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
         InputError: a vehicle file, or one that is given twice.
     """
     given = options.vehicles
-    vehicles = [remarked(read_vehicle(file)) for file in given]
+    vehicles = [started(remarked(read_vehicle(file)), options.start) for file in given]
     if len(given) == 1:
         return {"": vehicles[0]}
     stems = [Path(file).stem for file in given]

@@ -32,6 +32,39 @@ def add_vehicles(parser: Parser) -> None:
     )
 
 
+def add_start(parser: Parser) -> None:
+    """Adds `--start`, which may be repeated."""
+    parser.add_argument(
+        "--start",
+        action="append",
+        default=[],
+        metavar="STATE=VALUE",
+        help="start from another state than rest: a state of the vehicle's linear model, as in suspension_deflection=20mm, or "
+        "height=50mm, which lifts the whole vehicle for a drop test; may be repeated. With --road flat the frequencies and "
+        "damping ratios of the free decay are printed",
+    )
+
+
+def started(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
+    """Returns the vehicle with the start of `--start`, or of its file without one."""
+    if not texts:
+        return vehicle
+    start = dict[str, float | str]()
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or name.strip() in start:
+            wrong = "is given twice; give each state once" if equals else "has no value; give STATE=VALUE, as in height=50mm"
+            raise InputError(f"--start {text} {wrong}")
+        try:
+            start[name.strip()] = float(value)
+        except ValueError:
+            start[name.strip()] = value.strip()
+    try:
+        return vehicle.starting(**start)
+    except InputError as error:
+        raise InputError(str(error).replace("[start]", "--start")) from error
+
+
 USUAL = ("passive", "state", "I", "II")
 
 

@@ -8,7 +8,7 @@ if __name__ == "__main__":
 from collections.abc import Sequence
 
 from models.common.command import Parser
-from sim.command.road_options import add_loads, add_road, add_run_options, add_vehicles, requested_road
+from sim.command.road_options import add_loads, add_road, add_run_options, add_start, add_vehicles, requested_road
 
 EPILOG = """
 exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
@@ -37,6 +37,7 @@ def parser() -> Parser:
         EPILOG,
     )
     add_vehicles(parser)
+    add_start(parser)
     add_road(parser, "C")
     add_loads(parser, "load on the body; the road is flat if no road is given")
     parser.add_number(

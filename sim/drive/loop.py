@@ -17,10 +17,19 @@ from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.drive import RUNS_AT_ONCE
 from sim.drive.actuators import Actuators, closing_names
-from sim.drive.case import Batch
+from sim.drive.case import Batch, Case, State
 from sim.drive.computer import Computer, driver_of, implementation_around, kind_of
 from sim.drive.driver import RunDriver
-from sim.drive.sensor_readout import batch_of, beside_reading, hardware, mix, prepared, sensed_stage, states_of_parts
+from sim.drive.sensor_readout import (
+    batch_of,
+    beside_reading,
+    hardware,
+    mix,
+    prepared,
+    sensed_stage,
+    state_at_start,
+    states_of_parts,
+)
 
 if TYPE_CHECKING:
     from sim.drive.part_steps import PartBatch
@@ -104,6 +113,7 @@ class Loop:
     def __init__(self, batch: Batch) -> None:
         """Prepares what all parts of a batch have in common."""
         first, timestep = batch.vehicles[0], batch.timestep
+        self.timestep = timestep
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in batch.vehicles}
         self.hardware = {key: hardware(other) for key, other in distinct.items()}
@@ -158,6 +168,18 @@ class Loop:
             runs = slice(None) if len(some) == len(vehicles) else np.array(some)
             computers.append(Computer(driver, runs, cars, around, actuators, names, roads[:, some], timestep, len(batch.now)))
         return computers
+
+    def _start(self, case: Case, vehicle: Vehicle) -> State | None:
+        """Returns the state in which a run starts, or None for rest."""
+        if case.start is not None or not vehicle.start:
+            return case.start
+        model, readout = self.model, self.readout
+        if self.models:
+            model, readout = prepared(vehicle, self.timestep)
+        motion = state_at_start(vehicle, model, readout)
+        assert motion is not None, "it has a start"
+        none = np.zeros(0)
+        return State(motion, np.zeros(len(vehicle.linear_model.inputs)), none, none, np.zeros((0, 0)))
 
     def _map(self, actuators: Actuators) -> Array:
         """Returns the map from a reading, (qpos, qvel), part of `sensordata` and the parts' own states, to measured signals and
@@ -222,7 +244,7 @@ class Loop:
         at_sample = np.ix_(late, loaded)
         under_load = sensors[at_sample]
         commands, more = np.zeros((count, actuators.size)), np.zeros((count, actuators.size))
-        starts = {i: one.start for i, one in enumerate(batch.cases) if one.start is not None}
+        starts = {i: start for i in range(count) if (start := self._start(batch.cases[i], vehicles[i])) is not None}
         if starts:
             for i, one in starts.items():
                 motion[i], own[i], activations[i] = np.split(one.motion, [moved, moved + own.shape[1]])

@@ -9,11 +9,17 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
+
+CLOSEST, MOST_TRIALS = (
+    1e-13,
+    60,
+)  # m, rad and their rates, to which the state at the start is that of the vehicle; searches for it
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
@@ -80,6 +86,27 @@ def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout
     """Returns model and readout of a vehicle, cached: a search runs one vehicle hundreds of times. `Batch` copies the model."""
     model = build_model(vehicle, timestep, drawn=False)
     return model, _readout(vehicle, model)
+
+
+def state_at_start(vehicle: Vehicle, model: mujoco.MjModel, readout: Readout) -> Array | None:
+    """Returns the positions and velocities, own states of parts and activations in which runs start; None for rest.
+
+    Raises:
+        InputError: no position of the vehicle has these deflections.
+    """
+    if (state := vehicle.start_state) is None:
+        return None
+    data, names, own = mujoco.MjData(model), vehicle.linear_model.states, len(vehicle.kind.of_parts)
+    rows = [readout.names.index(name) for name in names[: len(names) - own]]
+    moved, motion, inverse = state[: len(rows)], np.zeros(model.nq + model.nv), np.linalg.pinv(readout.of_state[rows])
+    for _ in range(MOST_TRIALS):
+        data.qpos[:], data.qvel[:] = motion[: model.nq], motion[model.nq :]
+        mujoco.mj_forward(model, data)
+        far = moved - (readout.of_sensors[rows] @ data.sensordata - readout.rest[rows])
+        if np.abs(far).max(initial=0.0) < CLOSEST:
+            return np.concatenate([motion, state[len(rows) :], np.zeros(model.na)])
+        motion = motion + inverse @ far
+    raise InputError("[start]: no position of the vehicle has these deflections together; give smaller ones")
 
 
 def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequence[mujoco.MjModel] = ()) -> Batch:

@@ -62,7 +62,8 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     # The passive vehicle and state feedback, beside controllers that push
     pushed = vehicle.dampers and name in RESERVED and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.driven_by(name)
-    return replace(vehicle, implementation=Implementation(**run.claim("implementation")))
+    start = run.claim("start") if "start" in run.claims else {}
+    return replace(vehicle.starting(**start), implementation=Implementation(**run.claim("implementation")))
 
 
 def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:

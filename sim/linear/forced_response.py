@@ -43,7 +43,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         h,
         exponential,
     )
-    outputs = respond(loop, loop.plant.outputs, known)
+    outputs = respond(loop, loop.plant.outputs, known, vehicle.start_state)
     response = response_by_name(road, loop.plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.jump + model.Cr, True)
 
@@ -52,6 +52,7 @@ def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
     Phi, Gamma = plant.part((), model.inputs).held(road.timestep)
-    outputs = recursion(Phi, road_forcing(plant, road) + forces @ Gamma.T) @ plant.C.T + acting_on(plant, road, forces)
+    start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))
+    outputs = recursion(Phi, road_forcing(plant, road) + forces @ Gamma.T, start) @ plant.C.T + acting_on(plant, road, forces)
     response = response_by_name(road, plant.outputs, outputs)
     return with_linear_sides(response, road, model.C @ model.Bw + model.Cr, False)

@@ -93,7 +93,7 @@ def sampled_responses(
     if controller.preview is not None:
         ahead = np.stack([forces_ahead(controller.preview, road, len(loop.by_step)) for road in roads])
         inputs |= dict(zip(loop.forces, np.moveaxis(ahead, -1, 0), strict=True))
-    return shown(loop, roads, respond(loop, shown_outputs(loop), inputs), controller)
+    return shown(loop, roads, respond(loop, shown_outputs(loop), inputs, vehicle.start_state), controller)
 
 
 def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
@@ -116,11 +116,13 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
     system = loop.closed_loop.part(shown_outputs(loop), loop.closed_loop.inputs)
     Phi = linalg.expm(system.A * road.timestep)
     forcing, forces = road_forcing(system, road), np.zeros((len(road.time), len(loop.forces)))
+    start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))
     if preview is None:
-        states = recursion(Phi, forcing)
+        states = recursion(Phi, forcing, start)
     else:
         ahead, P, drive = _continuous_ahead(preview, system.part((), loop.forces), road)
-        states, forces = _recursion_from(-P @ ahead[0], Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
+        moved = -P @ ahead[0] + (0.0 if start is None else start)
+        states, forces = _recursion_from(moved, Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
     outputs = states @ system.C.T + acting_on(system, road, forces)
     response = shown(loop, [road], outputs[None], controller).run(0)
     jump = system.part(model.outputs, named(model.disturbances, HEIGHT)).D

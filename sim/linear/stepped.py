@@ -333,6 +333,8 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
     xi, kept, now = (np.zeros((count, width)) for width in (n, laws.states, m))
+    if (start := vehicle.start_state) is not None:
+        xi[:, : len(start)] = start
     waiting = dict[int, Sequence[Array]]()
     lost, by_inputs, unfelt = np.zeros((count, missing.shape[2])), None, np.zeros((count, steps.shown.shape[1]))
     for k in range(samples):
@@ -363,6 +365,8 @@ def forced(forces: Array, road: RoadInput) -> SteppedRuns:
     """Returns the run from rest under forces that are requested at every sample [N], shape (T, m)."""
     steps = Stepper(road.vehicle, road.timestep)
     added, states = steps.outside([road]) + (forces @ steps.by_inputs)[:, None], np.zeros((len(road.time), 1, len(steps.model.A)))
+    if (start := road.vehicle.start_state) is not None:
+        states[0, :, : len(start)] = start
     for k in range(len(states) - 1):
         states[k + 1] = steps(states[k], added[k])
     given = np.asarray(forces)[:, None]

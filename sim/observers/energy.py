@@ -189,6 +189,8 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
         lost += _lost(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
+    if vehicle.start:  # its energy there is nobody's work
+        stored -= stored[0]
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
     scale = max(turnover, ROUNDING * abs(float(rest))) or 1.0

@@ -63,6 +63,9 @@ class Twin:
         self._index = [signals.index(name) for name in self.outputs]
         self._units = [vehicle.kind.signal(name).unit for name in self.outputs]
         self._xi = np.zeros((self._A.shape[0], len(systems)))
+        for i, one in enumerate(batch.vehicles):
+            if (start := one.start_state) is not None:
+                self._xi[: len(start), i] = start
         self._off, self._peak = np.zeros((len(self.outputs), len(systems))), np.zeros((len(self.outputs), len(systems)))
         self._states = [i for i, name in enumerate(self.outputs) if name in vehicle.linear_model.states]
 

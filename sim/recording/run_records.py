@@ -254,6 +254,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         "road": road.describe(),
         "limits": vehicle.limits.record,
         "implementation": asdict(vehicle.implementation),
+        **({"start": dict(vehicle.start)} if vehicle.start else {}),
         **proved,
         "agrees": agreement.agrees,
         "energy": energy_object(run.energy) if run.energy is not None else None,

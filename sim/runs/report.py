@@ -36,6 +36,7 @@ from sim.drive.response import Response
 from sim.observers.energy import JOULES, Energy
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
+from sim.runs.decay import decay_object, decay_words
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
@@ -116,6 +117,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
         **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
         **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
+        **decay_object(run),
         **code_object(run.prediction.code_effect),
         **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
@@ -453,7 +455,21 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     Args:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
-    controller, code, until = run.controller, run.prediction.code_effect, run.agreement.until
+    code, until = run.prediction.code_effect, run.agreement.until
+    ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
+    tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
+    return Document(
+        f"controller {run.controller.name}: measures {', '.join(run.controller.measured) or 'nothing'}",
+        (
+            *run_statements(run),
+            Document("Signals", (*notes(*[ended] * math.isfinite(until), detail="full"), *tables), "full"),
+        ),
+    )
+
+
+def run_statements(run: RunResult) -> tuple[Statement, ...]:
+    """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict."""
+    controller, code = run.controller, run.prediction.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)
@@ -461,24 +477,19 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     first = [*claimed, *studied, *filter(None, [warning]), *code_notes(code, run.vehicle)]
     every = [text for text in controller_notes(run.vehicle, controller) if not text.startswith(tuple(first))]
     others = [text for text in every if not any(one.startswith(text) for one in first)]
-    ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
-    tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
-    return Document(
-        f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}",
-        (
-            verdict(run),
-            *notes(*first),
-            *notes(*others, detail="full"),
-            *reasons(run),
-            Document("Signals", (*notes(*[ended] * math.isfinite(until), detail="full"), *tables), "full"),
-        ),
+    return (
+        verdict(run),
+        *notes(*first),
+        *notes(*others, detail="full"),
+        *notes(*filter(None, [decay_words(run)])),
+        *reasons(run),
     )
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
     rows, on = [], run.prediction.input
-    still = not on.heights.any() and not on.held.any()  # all that moves on a flat road is rounding
+    still = not on.heights.any() and not on.held.any() and not run.vehicle.start  # all that moves on a flat road is rounding
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):

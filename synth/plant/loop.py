@@ -197,8 +197,8 @@ class Loop:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
-def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> Array:
-    """Returns outputs of a sampled loop at every step from rest, shape (..., T, p).
+def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
+    """Returns outputs of a sampled loop at every step, shape (..., T, p).
 
     One recursion leads from sample to sample. The steps between the samples are then taken for all samples side by side.
 
@@ -207,6 +207,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
         outputs: names of p outputs; a law's states and its requested forces are those of the last sample.
         inputs: disturbances at every step, held over it, and what adds to the requested forces, at the samples, by name, each of
             shape (..., T).
+        start: states of the plant at the start, shape (n,); None for rest.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
     *runs, T = next(iter(inputs.values())).shape
@@ -224,7 +225,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array]) -> 
         for i in range(1, P):
             more = more @ Phi.T + (by_step[..., i, :] - by_step[..., 0, :]) @ into
         push[..., :n] += more
-    states = recursion(system.A, push)
+    states = recursion(system.A, push, None if start is None else np.pad(start, (0, len(system.A) - n)))
 
     def at_samples(rows: list[int]) -> Array:
         return states @ system.C[rows].T + at_sample @ system.D[rows][:, columns].T

@@ -189,8 +189,8 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
-    """The vehicle without noise and quantisation of `[implementation]`: those have no frequency response."""
-    return replace(vehicle, implementation=vehicle.implementation.without_noise)
+    """The vehicle from rest, without noise and quantisation of `[implementation]`, which have no frequency response."""
+    return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 
 def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed) -> list[Lines]:
