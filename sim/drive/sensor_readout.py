@@ -16,10 +16,8 @@ from models.vehicle.vehicle import Vehicle
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-CLOSEST, MOST_TRIALS = (
-    1e-13,
-    60,
-)  # m, rad and their rates, to which the state at the start is that of the vehicle; searches for it
+CLOSEST = 1e-13  # m, rad and their rates; to this difference a run starts in its given state
+MOST_TRIALS = 60  # of the search for that state
 
 
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:

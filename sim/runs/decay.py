@@ -1,14 +1,14 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 The motion of a linear loop from sample to sample is that of its modes. Signals of the states, and those of some samples later,
-therefore follow from their values before by a matrix, which is found by least squares, and its eigenvalues are those of the modes.
-Singular values that rounding leaves are taken off, so that motionless modes do not matter. With curves or large angles the
-results are those of the linear loop that fits the whole decay best.
+therefore follow from their values before by a matrix, which least squares give. Its eigenvalues are those of the modes. Singular
+values that rounding leaves are taken off, so that motionless modes do not matter. With curves or large angles the results are
+those of the linear loop that fits the whole decay best.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,9 @@ SMALLEST = 1e-6  # singular value that counts, over the largest
 SHARE = 0.01  # of the decay's energy; a mode with less is not told
 FEWEST = 40  # samples of a decay
 
-FREQUENCY = Field["Mode"]("frequency", lambda one: one.frequency, ".4g", unit="Hz", key="frequency")
-DAMPING = Field["Mode"]("damping ratio", lambda one: one.damping_ratio, ".3f", key="damping_ratio")
+FREQUENCY = Field[float]("frequency", float, ".4g", unit="Hz")
+DAMPING = Field[float]("damping ratio", float, ".3f")
+TIME = Field[float]("time constant", float, ".3g", unit="s")
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,14 @@ class Mode:
     frequency: float
     damping_ratio: float
     share: float
+
+    @property
+    def words(self) -> str:
+        """Frequency and damping ratio in words, or the time constant of a mode that does not oscillate."""
+        if abs(self.damping_ratio) >= 1:
+            growing = " growth" if self.damping_ratio < 0 else ""
+            return f"aperiodic{growing}, time constant {TIME.text(1 / (2 * math.pi * self.frequency))}"
+        return f"{FREQUENCY.text(self.frequency)}, damping ratio {DAMPING.text(self.damping_ratio)}"
 
 
 def is_free(run: RunResult) -> bool:
@@ -89,7 +98,7 @@ def decay_words(run: RunResult) -> str:
     """Returns a sentence on the modes of a free decay in MuJoCo; empty without one."""
     if not is_free(run) or not (modes := modes_of(run, run.physics)):
         return ""
-    return f"free decay: {'; '.join(f'{FREQUENCY.text(one.frequency)}, damping ratio {DAMPING.text(one.damping_ratio)}' for one in modes)}"
+    return f"free decay: {'; '.join(one.words for one in modes)}"
 
 
 def decay_object(run: RunResult) -> dict[str, Any]:
@@ -101,7 +110,4 @@ def decay_object(run: RunResult) -> dict[str, Any]:
 
 
 def _objects(modes: Sequence[Mode]) -> list[dict[str, float | None]]:
-    return [
-        {"frequency": finite(one.frequency), "damping_ratio": finite(one.damping_ratio), "share": finite(one.share)}
-        for one in modes
-    ]
+    return [{name: finite(value) for name, value in asdict(one).items()} for one in modes]

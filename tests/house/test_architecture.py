@@ -69,6 +69,7 @@ ROOMS = {
     "sim.bump": "models.vehicle models.roads sim.command",
     "sim.campaign": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
     "synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers sim.runs sim.studies sim.command",
+    DRIVE: "sim.command",
     "sim.envelope": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.studies sim.command",
     "sim.gallery": "models.document sim.studies",
@@ -82,6 +83,7 @@ ROOMS = {
     "sim.__main__": "",
 }
 OF_ALL = "models.common"
+DRIVE = "sim.drive.__main__"  # the command of this name, above the loop in the same folder
 # Ceilings of each package: its folders, on how many floors these stand, each on those below, and the arrows from one to another.
 # A command or a kind of vehicle that is one file is no folder, and adds to none of them.
 MOST_ROOMS = {"models": 8, "synth": 7, "sim": 10}
@@ -151,7 +153,7 @@ def module_of(name: str) -> str | None:
 
 def room_of(module: str) -> str:
     """The room of a module: what it is, or lies in, right below its package; of a door the door itself."""
-    return ".".join(module.split(".")[:2])
+    return module if module == DRIVE else ".".join(module.split(".")[:2])
 
 
 def is_door(room: str) -> bool:

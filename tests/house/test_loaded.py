@@ -22,8 +22,8 @@ HEAVY = {
 LOADED = {
     "synth --json": (112, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
     "sim.bump --controller I --duration 0.5 --logs DIR": (145, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
-    "sim.bump --controller I --no-logs --json": (133, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (135, {"mujoco"}),
+    "sim.bump --controller I --no-logs --json": (136, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (138, {"mujoco"}),
     "sim.drive --controller I --duration 1 --no-logs --json": (163, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
         136,
