@@ -187,7 +187,7 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
         InputError: a vehicle file, or one that is given twice.
     """
     given = options.vehicles
-    vehicles = [started(remarked(read_vehicle(file)), options.start) for file in given]
+    vehicles = [started(remarked(read_vehicle(file)), vars(options).get("start", ())) for file in given]
     if len(given) == 1:
         return {"": vehicles[0]}
     stems = [Path(file).stem for file in given]

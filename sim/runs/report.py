@@ -36,7 +36,6 @@ from sim.drive.response import Response
 from sim.observers.energy import JOULES, Energy
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
-from sim.runs.decay import decay_object, decay_words
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
@@ -117,7 +116,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
         **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
         **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
-        **decay_object(run),
+        **_decay_object(run),
         **code_object(run.prediction.code_effect),
         **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
@@ -481,9 +480,27 @@ def run_statements(run: RunResult) -> tuple[Statement, ...]:
         verdict(run),
         *notes(*first),
         *notes(*others, detail="full"),
-        *notes(*filter(None, [decay_words(run)])),
+        *notes(*_decay_words(run)),
         *reasons(run),
     )
+
+
+def _decay_words(run: RunResult) -> list[str]:
+    """Returns a sentence on the free decay of a run from a given start; empty without one."""
+    if not run.vehicle.start:
+        return []
+    from sim.runs.decay import decay_words
+
+    return [words] if (words := decay_words(run)) else []
+
+
+def _decay_object(run: RunResult) -> dict[str, Any]:
+    """Returns the modes of a free decay for JSON; empty without a given start."""
+    if not run.vehicle.start:
+        return {}
+    from sim.runs.decay import decay_object
+
+    return decay_object(run)
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:

@@ -21,6 +21,7 @@ FILES = sorted(
 NAMES = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES}
 MODULES = {name: path for path, name in NAMES.items()}
 
+DRIVE = "sim.drive.__main__"  # the command of this name, above the loop in the same folder
 # A room is a folder or a file right below its package, whose own `__init__` and `__main__` are its doors and no rooms. A row
 # names every other room that its room imports, all of them in rows above its own, so that there can be no circle.
 ROOMS = {
@@ -83,7 +84,6 @@ ROOMS = {
     "sim.__main__": "",
 }
 OF_ALL = "models.common"
-DRIVE = "sim.drive.__main__"  # the command of this name, above the loop in the same folder
 # Ceilings of each package: its folders, on how many floors these stand, each on those below, and the arrows from one to another.
 # A command or a kind of vehicle that is one file is no folder, and adds to none of them.
 MOST_ROOMS = {"models": 8, "synth": 7, "sim": 10}
