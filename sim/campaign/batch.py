@@ -18,8 +18,8 @@ from sim.drive.loop import DIVERGED, Block
 from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
 from sim.linear.dampers import is_linear
 from sim.observers.ends import End, Ends
+from sim.observers.steps import WHEN
 from sim.observers.twin import Twin
-from sim.runs.steps import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object

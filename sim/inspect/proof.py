@@ -16,12 +16,12 @@ from sim.drive.response import Response
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
 from sim.inspect.log import Log, RecordedRun
 from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
+from sim.observers.steps import ALLOWED, DIFFERENCE
 from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
 from sim.runs.report import claims, half_step_object, reasons, run_object
 from sim.runs.run import Run
-from sim.runs.steps import ALLOWED, DIFFERENCE
 from sim.studies.ride.metrics import DEFINITIONS, LATE_WINDOW, ONE_SIDED
 from synth.analysis.record import false_claims
 from synth.controller.controller import Controller

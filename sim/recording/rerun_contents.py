@@ -13,6 +13,7 @@ from models.document.figure import rgb
 from models.document.text import markdown
 from sim.drive.regime import REGIME_ENDS
 from sim.drive.response import Response
+from sim.observers.steps import WHEN
 from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_curves, signals_of
 from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (
@@ -30,7 +31,6 @@ from sim.recording.scene import (
     strut_lines,
     tyre_surface,
 )
-from sim.runs.steps import WHEN
 from synth.controller.report import NORM
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ import rerun.blueprint as rrb
 import rerun.chunk
 
 from models.common.arrays import Array
+from sim.observers.steps import DIFFERENCE as GAP
 from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, pages
 from sim.recording.rerun_contents import (
     TIMELINE,
@@ -33,7 +34,6 @@ from sim.recording.rerun_contents import (
 )
 from sim.recording.run_log import LOADS, RunLog
 from sim.recording.scene import largest_force
-from sim.runs.steps import DIFFERENCE as GAP
 
 # Direction of view: from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])

@@ -13,12 +13,12 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
 from models.document.text import names_text
 from sim.command.road_options import end_lines
+from sim.observers.steps import DIFFERENCE, WHEN
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.prediction import LINEAR, NONLINEAR
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
 from sim.runs.run import Run
-from sim.runs.steps import DIFFERENCE, WHEN
 from sim.runs.time_histories import OF_LINE, history_figure
 from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics
 

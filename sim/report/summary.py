@@ -13,11 +13,11 @@ from models.document.reading import Pivot
 from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
+from sim.observers.steps import WHEN
 from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
-from sim.runs.steps import WHEN
 from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standing, best, compared_table, headline
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd

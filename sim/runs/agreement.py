@@ -2,9 +2,9 @@
 
 A run agrees if two local checks hold:
 
-1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations from the same state (`sim.runs.steps`). This
-   covers lift-off, stops, characteristics, dampers, and large angles.
-2. Every command equals the control law evaluated on the measurements of the run itself (`sim.runs.commands`). This covers
+1. Every MuJoCo step equals one RK4 step of the vehicle's exact nonlinear equations from the same state (`sim.observers.steps`).
+   This covers lift-off, stops, characteristics, dampers, and large angles.
+2. Every command equals the control law evaluated on the measurements of the run itself (`sim.observers.commands`). This covers
    sampling, delay, noise, quantisation, limits, and exported code.
 
 Its trajectory then is that of the equations and the law. The distance from the linear response is a measurement, with a cause:
@@ -32,11 +32,11 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states, roundings
+from sim.observers.commands import CommandAgreement, compare_commands
 from sim.observers.recorder import Recording
+from sim.observers.steps import DIFFERENCE, WHEN, StepAgreement, compare_steps, from_steady, motion_of
 from sim.runs.code_effect import CodeEffect
-from sim.runs.commands import CommandAgreement, compare_commands
 from sim.runs.prediction import Prediction
-from sim.runs.steps import DIFFERENCE, WHEN, StepAgreement, compare_steps, from_steady, motion_of
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run

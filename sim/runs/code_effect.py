@@ -1,7 +1,7 @@
 """Effect of exported code on a run, measured in MuJoCo: the difference from the same run with the law itself.
 
 The run with the law must agree, and the code may move no signal of it by more than `MOST` of its peak. That every command of the
-run is that of the code is a check of its own (`sim.runs.commands`).
+run is that of the code is a check of its own (`sim.observers.commands`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import finite
 from sim.drive.response import Response
-from sim.runs.steps import DIFFERENCE
+from sim.observers.steps import DIFFERENCE
 from synth.controller.controller import AnyController
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law

@@ -34,10 +34,10 @@ from sim.drive.regime import (
 )
 from sim.drive.response import Response
 from sim.observers.energy import JOULES, Energy
+from sim.observers.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
-from sim.runs.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
 from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins

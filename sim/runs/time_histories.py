@@ -11,9 +11,9 @@ from models.common.printed import as_name
 from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.drive.response import Response
+from sim.observers.steps import WHEN
 from sim.runs.report import SIZE
 from sim.runs.result import RunResult
-from sim.runs.steps import WHEN
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line

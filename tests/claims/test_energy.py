@@ -13,8 +13,8 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.drive.response import Response
 from sim.observers.energy import Energy
+from sim.observers.steps import motion_of
 from sim.runs.run import run_controllers, sample_times
-from sim.runs.steps import motion_of
 from synth.vehicle.designer import design
 from tests.claims.test_verdict import without_motion
 from tests.models.test_vehicle_options import LINKS, TYRES, with_parameters, without_springs

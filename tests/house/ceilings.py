@@ -147,7 +147,7 @@ linear responses                                                765    364      
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
 runs, verdict, their text                                      3304    914     60
-    sim/runs/{__init__,agreement,by_name,commands,prediction,re*,run,signal_table,start,steps,time_histories}.py
+    sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1001   1005    374

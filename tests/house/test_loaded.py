@@ -18,7 +18,7 @@ HEAVY = {
     *("scipy.stats", "control", "cvxpy", "google", "matplotlib", "mcap", "mujoco", "pandas", "pyarrow", "ray", "rerun"),
 }
 # Of each command: how many of our modules it may load, packages among them, and what of the above.
-# `sim.runs.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel with `rigid_body`.
+# `sim.observers.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel of `rigid_body`.
 LOADED = {
     "synth --json": (112, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
     "sim.bump --controller I --duration 0.5 --logs DIR": (145, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),

@@ -24,9 +24,9 @@ from sim.drive.__main__ import main
 from sim.drive.case import Case, batch_of
 from sim.inspect.__main__ import main as inspect
 from sim.linear.sampled_response import continuous_response
+from sim.observers.steps import EXACT
 from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from sim.runs.start import start_effect
-from sim.runs.steps import EXACT
 from synth.vehicle.designer import Designer, design
 from tests.support.commands import prose, refused
 

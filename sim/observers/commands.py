@@ -22,7 +22,7 @@ from sim.drive.driver import steps_ahead
 from sim.linear.outputs import forces_ahead
 from sim.linear.rounding import roundings
 from sim.observers.recorder import Recording
-from sim.runs.steps import LocalAgreement, from_steady
+from sim.observers.steps import LocalAgreement, from_steady
 from synth.controller.controller import AnyController, Controller
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
@@ -125,7 +125,7 @@ def _worst(differences: list[Difference], vehicle: Vehicle) -> CommandAgreement:
 def _readings(controller: AnyController, road: RoadInput, recording: Recording, due: Array) -> Iterator[Difference]:
     """Yields the differences of measurements from the run's signals at the samples.
 
-    An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.runs.steps`).
+    An acceleration is measured before the new force and load act, so that it is compared elsewhere (`sim.observers.steps`).
     """
     physics = from_steady(road, recording.response)
     rounded = roundings(road.vehicle, None)
