@@ -19,7 +19,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, REGIME_ENDS, reached
 from sim.drive.response import Response
-from sim.runs.report import FEW, describe_run, run_statements, shared
+from sim.runs.report import FEW, describe_run, sentences, shared
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
@@ -227,7 +227,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
         documents = [describe_run(run, None if run.physics is passive else passive) for run in runs]
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
-    said = [(run.controller.name, one) for run in runs for one in run_statements(run) if one.detail == "normal"]
+    said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]
     lines = text_lines(Document("", shared(each for each in said if few or each[1].state == "fails")))
     if not few:
         margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}

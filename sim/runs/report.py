@@ -303,17 +303,23 @@ def joined_names(names: Sequence[str]) -> str:
     return "; ".join(f"{f'{vehicle}: ' if vehicle else ''}{', '.join(some)}" for vehicle, some in by_vehicle.items())
 
 
-def reasons(run: RunResult) -> tuple[Statement, ...]:
+def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns the events of a run, its checks, its distance from linear analysis, and its energy balance, a sentence each.
 
     Those of a run that passes, and stays in its range, are details.
+
+    Args:
+        full: False to leave details out, which need the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
+    stops = notes(*filter(None, [stop_note(run)]))
+    if not full and detail == "full":
+        return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
     if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
-    return (*notes(*filter(None, [stop_note(run)])), *(replace(one, detail=detail) for one in said))
+    return (*stops, *(replace(one, detail=detail) for one in said))
 
 
 def _events(run: RunResult) -> Iterator[str]:
@@ -460,14 +466,14 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     return Document(
         f"controller {run.controller.name}: measures {', '.join(run.controller.measured) or 'nothing'}",
         (
-            *run_statements(run),
+            *sentences(run),
             Document("Signals", (*notes(*[ended] * math.isfinite(until), detail="full"), *tables), "full"),
         ),
     )
 
 
-def run_statements(run: RunResult) -> tuple[Statement, ...]:
-    """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict."""
+def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
+    """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict; see `reasons`."""
     controller, code = run.controller, run.prediction.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
@@ -481,7 +487,7 @@ def run_statements(run: RunResult) -> tuple[Statement, ...]:
         *notes(*first),
         *notes(*others, detail="full"),
         *notes(*_decay_words(run)),
-        *reasons(run),
+        *reasons(run, full),
     )
 
 
