@@ -419,6 +419,7 @@ TOPICS = {
     "difference": "simulation minus sampled response, as a share of each signal's peak",
     "loads": "forces and moments on the body, the sum and each one, held over a step",
     "dampers": "forces of semi-active dampers, and of springs and dampers with characteristics, and their limits",
+    "measured": "measured log of `--beside`, at its own times; NaN in gaps",
     "events": "lift-offs, landings, bump stops and other events",
     "transforms": "motion of the vehicle, 60 frames a second",
     "shapes": "solids of the vehicle",

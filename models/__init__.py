@@ -8,6 +8,7 @@ Public names, imported when they are first used; all units are SI:
 - a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
   `BodyLoad`, `Invariant`, `GRAVITY`
 - a law of your own: `LinearLaw`
+- measured signals from a file: `read_measured_log`
 - bad input of any kind: `InputError`, whose message is one line with the cause and the repair
 
 All other names may move without notice.
@@ -20,6 +21,7 @@ USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period by def
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # what type checkers and editors see
     from models.common.errors import InputError
+    from models.common.logs.measured_log import read_measured_log
     from models.kinds import signals
     from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
     from models.kinds.linear_model import LinearModel

@@ -59,6 +59,8 @@ DIRECTIONS: Mapping[str, int] = {  # words of a heading that decide its sign: 1 
     )
     for word in words.split()
 }
+CORNERS = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
+CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as files of rigs call corners
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files, spreadsheets and MATLAB files: the one reader of roads, rigs, curves, loads and families.
+"""Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files: the one reader of roads, rigs, curves and logs.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a decimal
 comma; a table has one decimal mark and no thousands marks. A comment begins with `#`, or its line with `%`, `!` or `//`. Above
@@ -22,6 +22,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.common.logs.lvm import MAGIC, lvm_text
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
 
@@ -34,6 +35,7 @@ CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
 LONGEST_UNIT = 3  # characters of a unit that is unknown
 HALF_A_DAY = 43200.0  # s, after which clocks of 12 hours start again
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
+MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in small letters
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,13 @@ class NumberTable:
     count: int
     give: str
 
-    def headings(self, units: Collection[str], optional: bool = False) -> list[Heading]:
+    def headings(self, units: Collection[str], optional: bool = False, alike: bool = False) -> list[Heading]:
         """Returns the headings of all columns: those of the line just above the numbers, or above their line of units.
 
         Args:
             units: units whose dimensions columns may have.
             optional: True if a table needs no headings. A comment is then read only if it names quantities alone.
+            alike: True if several columns may have the same name.
 
         Raises:
             InputError: headings are missing or equal, or there is a number among them.
@@ -92,7 +95,7 @@ class NumberTable:
             if DIGITS.fullmatch(heading.text):
                 found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
                 raise InputError(f"{found}; put # before lines that are not headings, or {self.give}")
-            if not optional and same.count(heading.quantity or heading.name) > 1:
+            if not (optional or alike) and same.count(heading.quantity or heading.name) > 1:
                 raise InputError(
                     f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns"
                 )
@@ -116,12 +119,13 @@ class NumberTable:
             if cells := _trimmed(_cells(_uncommented(line), self.separator)):
                 yield number, cells
 
-    def numbers(self, columns: Sequence[int] = (), ragged: bool = False) -> tuple[Array, Sequence[int]]:
+    def numbers(self, columns: Sequence[int] = (), ragged: bool = False, gaps: bool = False) -> tuple[Array, Sequence[int]]:
         """Returns the finite numbers of columns, shape (rows, columns), and the line of every row, from 1.
 
         Args:
             columns: numbers of columns, from 0; all if empty. Other columns, and what follows the last one, may be text.
             ragged: True if numbers may follow the last column.
+            gaps: True if cells may be missing, as in `MISSING`; these are NaN.
 
         Raises:
             InputError: a cell is not a finite number, a line has another number of them, numbers have both decimal marks, or
@@ -130,11 +134,15 @@ class NumberTable:
         used = columns or range(self.count)
         lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True
         for line, cells in self.rows():
+            cells += [""] * ((max(used) + 1 - len(cells)) * gaps)
             if len(cells) <= max(used) or not (ragged or all(_number(cell) is None for cell in cells[self.count :])):
                 there = f"line {line} has {len(cells)} column(s), but line {self.first + 1} has {self.count}"
                 raise InputError(f"{there}; {self.give}")
             for column in used:
                 cell = cells[column]
+                if gaps and cell.lower() in MISSING:
+                    values.append(math.nan)
+                    continue
                 for mark in ".,":
                     if mark in cell and mark not in marked:
                         marked[mark] = f"line {line} has {quoted(cell)}"
@@ -153,15 +161,18 @@ class NumberTable:
             raise InputError(f"{marked[',']}, which may be thousands; write numbers without thousands marks, decimals with a dot")
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
-    def seconds(self, heading: Heading) -> Array:
+    def seconds(self, heading: Heading, default: str = "") -> Array:
         """Returns the times of a column [s], shape (rows,): numbers in its unit, or time stamps, of one day or the next.
+
+        Args:
+            default: the unit of a heading without one; empty if a unit is required.
 
         Raises:
             InputError: the unit is missing, or a cell is neither a number nor a time of day.
         """
         column, times = heading.column - 1, list[float]()
         if _number(next(self.rows())[1][column]) is not None:
-            return self.numbers([column], ragged=True)[0][:, 0] * heading.scale("time")
+            return self.numbers([column], ragged=True)[0][:, 0] * heading.scale("time", default=default)
         for line, cells in self.rows():
             stamp = CLOCK.search(" ".join(cells[column : column + 1]))
             if stamp is None:
@@ -191,7 +202,7 @@ class NumberTable:
 
 def table_text(path: Path) -> str:
     """Returns a file's text; of a spreadsheet (.xlsx) the sheet with a table, or else the first one, of a MATLAB file (.mat) its
-    arrays, as lines with tabs.
+    arrays, as lines with tabs. A text file is UTF-8, else Windows-1252; that of LabVIEW has headings with units.
 
     Raises:
         InputError: the package for spreadsheets is not installed, several sheets have a table, or a MATLAB file has none.
@@ -214,7 +225,13 @@ def table_text(path: Path) -> str:
                 f"has tables in the sheets {listing(tables)}, but only one is read; delete the others, or save one as .csv"
             )
         return _tabbed(sheets[(tables or [*sheets])[0]])
-    return _tabbed(_matlab_rows(path.read_bytes())) if suffix == ".mat" else path.read_text(encoding="utf-8-sig")
+    if suffix == ".mat":
+        return _tabbed(_matlab_rows(path.read_bytes()))
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        text = path.read_text(encoding="cp1252", errors="replace")
+    return lvm_text(text) if MAGIC in text.partition("\n")[0] else text
 
 
 def _has_numbers(row: Sequence[Any]) -> bool:

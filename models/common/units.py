@@ -37,7 +37,7 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
         "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
         "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force", "kgf": "kg_force kp",
         "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "in/s": "ips", "lb": "lbs", "N s": "ns", "kN s": "kns",
-        "deg": "° degree degrees", "l": "litre litres liter liters",
+        "m/s": "mps", "m/s2": "mps2", "deg": "° degree degrees", "l": "litre litres liter liters",
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip

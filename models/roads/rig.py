@@ -10,6 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError, listing, quoted
+from models.common.quantities import CORNERS
 from models.kinds.kind import Parameters, Wheel
 from models.roads.profile import check_ascending, read_points
 from models.roads.road import MeasuredRoad
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 STROKE = 2.0  # m from its first height; no post moves further
-SHORT = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
-SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive files call corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ class Rig(MeasuredRoad):
 def post_name(text: str) -> str:
     """Returns the normal form of a column's name: `Front Left`, `LF` and `road_displacement_front_left` are equal."""
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
-    return SHORT.get(name, name)
+    return CORNERS.get(name, name)
 
 
 def _names(wheel: Wheel) -> tuple[str, ...]:

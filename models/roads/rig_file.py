@@ -12,7 +12,7 @@ import numpy as np
 from models.common.errors import InputError
 from models.common.files import reading
 from models.common.schema import Choice, Section
-from models.common.table import find_table
+from models.common.table import find_table, table_text
 from models.common.units import LENGTH, TIME
 from models.roads.rig import Rig, check_history, check_posts
 
@@ -37,7 +37,7 @@ def read_rig(path: Path, settings: RigSettings) -> Rig:
         InputError: the file cannot be read, a heading or a line is wrong, or they make no histories. It names file and line.
     """
     with reading(path, "drive file", FORMAT):
-        table = find_table(path.read_text(encoding="utf-8-sig"), FORMAT)
+        table = find_table(table_text(path), FORMAT)
         headings = table.headings(("s", "m"))
         clocks = [heading for heading in headings if heading.quantity == "time"]
         if len(clocks) != 1:

@@ -27,6 +27,7 @@ from synth.controller.loop_of import loop_of
 from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
+    from models.common.logs.measured_log import MeasuredLog
     from sim.studies.ride.run_metrics import RunMetrics
     from sim.studies.ride.standing import Standing
 
@@ -115,6 +116,7 @@ def recorded(
     controllers: Sequence[str],
     runs: Callable[[], Mapping[str, Run]],
     result: Mapping[str, Any],
+    measured: Response | None = None,
 ) -> dict[str, str | None]:
     """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
@@ -123,23 +125,54 @@ def recorded(
         controllers: names of those that were run.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
         result: result for `--json`.
+        measured: measured signals over the time of the runs, if any.
     """
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
         return nothing
     from sim.recording.run_records import record_runs
 
-    return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
+    return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result, measured)}
 
 
-def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
-    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over"."""
+def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":
+    """Returns the log of `--beside` with the signals that vehicles have; None without that option.
+
+    Raises:
+        InputError: see `read_measured_log`, or an option that needs `--beside`.
+    """
+    if options.beside is None:
+        for name in [*["beside_column"] * bool(options.beside_column), *sorted(options.given)]:
+            if name.startswith("beside"):
+                option = f"--{name}".replace("_", "-")
+                raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
+        return None
+    from models.common.logs.measured_log import read_measured_log
+
+    columns = dict[str, str]()
+    for text in options.beside_column:
+        name, _, heading = text.partition("=")
+        if not (name and heading) or name in columns:
+            raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
+        columns[name] = heading
+    units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
+    return read_measured_log(options.beside, units, options.beside_rate, columns)
+
+
+def write_histories(
+    options: argparse.Namespace, runs: Sequence[Run], where: str, measured: Response | None = None
+) -> dict[str, Path | None]:
+    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over".
+
+    Args:
+        measured: measured signals over the time of the runs, which the picture shows, too.
+    """
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
         from models.document.picture import write_picture
         from sim.runs.time_histories import history_figure
 
-        figure = history_figure(runs, where)
+        figure = history_figure(runs, where, measured)
         outputs["picture"] = options.picture if figure is not None else None
         if figure is not None:
             write_picture(figure, options.picture)

@@ -28,6 +28,7 @@ from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
+    from sim.studies.validity.measured_log import SignalFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,7 @@ class Driven:
         without: omitted part for each run; empty as implemented.
         passive: MuJoCo's response of the passive vehicle.
         metrics: ride metrics of each run; empty if none are measured.
+        fits: comparison of each run with a measured log; empty without a log.
     """
 
     vehicle: Vehicle
@@ -51,6 +53,7 @@ class Driven:
     without: Sequence[str]
     passive: Response
     metrics: "Sequence[RunMetrics]" = ()
+    fits: "Sequence[Mapping[str, SignalFit]]" = ()
 
     @property
     def built(self) -> list[Run]:
@@ -74,7 +77,8 @@ class Driven:
             run_object(run)
             | {"half_step": half_step_object(run)}
             | {key: text for key, text in (("vehicle", self.title), ("without", part)) if text}
-            for run, part in zip(self.runs, self.without, strict=True)
+            | ({"beside": {name: one.record for name, one in fits.items()}} if fits else {})
+            for run, part, fits in zip_longest(self.runs, self.without, self.fits)
         ]
 
 
@@ -112,13 +116,22 @@ def drive(
         for remark in gaps(road, options.duration):
             complain(remark)
     comparison.check_view(options)
+    log = comparison.measured_log(options, vehicles.values())
     texts = (getattr(options, "road", None), *getattr(options, "loads", ()))  # of sim.drive
     files = [*(file for vehicle in vehicles.values() for file in vehicle.files), *named_files(texts)]
+    files += [options.beside] if log else []
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
 
     driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
     runs = [run for each in driven for run in each.runs]
     shown = [run for each in driven for run in each.shown]
+    measured, beside = None, {}
+    if log is not None:
+        from sim.studies.validity.measured_log import compare_log
+
+        measured = remarked(compare_log(log, runs, options.beside_start, options.beside_remove_offset))
+        fits, beside = iter(measured.fits), {"beside": measured.record}
+        driven = [replace(each, fits=[next(fits) for _ in each.runs]) for each in driven]
     samples, start, words, step, response = (0, None), 0.0, "over the whole run", {}, Document("")
     if rides:
         from sim.studies.ride import run_metrics, step_response
@@ -138,14 +151,14 @@ def drive(
     unstable = [run.controller.name for run in shown if run.prediction.radius > 1]
     end = float(time[-1 if samples[1] is None else samples[1] - 1])
     results = [_result(options, each, (start, None if samples[1] is None else end)) for each in driven]
-    result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
+    result = {**results[0], "runs": [run for one in results for run in one["runs"]], **beside}
     if left := sorted({name for one in results for name in one.get("left_out", ())}):
         result["left_out"] = left
-    logs = []
+    logs, aligned = [], None if measured is None else measured.response
     for each, one in zip(driven, results, strict=True):
         controllers = list(dict.fromkeys(run.controller.name for run in each.runs))
-        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, one))
-    outputs = comparison.write_histories(options, shown, where(road))
+        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, one | beside, aligned))
+    outputs = comparison.write_histories(options, shown, where(road), aligned)
     standings = [
         one
         for each in driven
@@ -169,6 +182,8 @@ def drive(
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v prints more"
         lines += ["", *standing_lines(standings, about)]
+        if measured is not None:
+            lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
         lines += ["", *text_lines(Document("", verdicts(shown)))]
         if unstable and not options.allow_unstable:

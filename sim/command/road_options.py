@@ -97,6 +97,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="write all signals of MuJoCo and linear analysis over time (.csv)"
     )
+    add_measured(parser)
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="do not write log files")
@@ -122,6 +123,29 @@ def add_exported(
         type=Path,
         metavar="DIR",
         help=what,
+    )
+
+
+def add_measured(parser: Parser) -> None:
+    """Adds `--beside`, a measured log to compare with the runs, and its options."""
+    parser.add_argument(
+        "--beside",
+        type=Path,
+        metavar="FILE",
+        help="compare the runs with a measured log, whose columns have names of signals and units, as in "
+        "'sprung_acceleration [m/s2]' (.csv, .txt, .lvm, .mat, .xlsx)",
+    )
+    parser.add_argument(
+        "--beside-column",
+        action="append",
+        default=[],
+        metavar="SIGNAL=HEADING",
+        help="column of a signal that has another name in the log; may be repeated",
+    )
+    parser.add_number("--beside-start", None, "s", "time of the log at which the runs start", "largest correlation")
+    parser.add_number("--beside-rate", None, "Hz", "sample rate of a log without a column of time", "column of time")
+    parser.add_argument(
+        "--beside-remove-offset", action="store_true", help="remove the mean difference from each measured signal"
     )
 
 

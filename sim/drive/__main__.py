@@ -25,6 +25,7 @@ examples:
   python -m sim.drive --vehicle my_car.toml --vehicle van.toml --controller all --class C --speed 25
   python -m sim.drive --vehicle my_car.toml --controller mine --road bump --without noise --without delay
   python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
+  python -m sim.drive --vehicle my_car.toml --controller mine --road bump --beside rig.lvm --beside-start 2.35
   python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
 """
 

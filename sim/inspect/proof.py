@@ -17,7 +17,7 @@ from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, dif
 from sim.inspect.log import Log, RecordedRun
 from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
 from sim.observers.steps import ALLOWED, DIFFERENCE
-from sim.recording.run_log import CONTINUOUS, MUJOCO, SAMPLED, WHOLE
+from sim.recording.run_log import CONTINUOUS, MEASURED, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
 from sim.runs.report import claims, half_step_object, reasons, run_object
@@ -239,6 +239,13 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         now |= metrics_object(run, measure_run(run, *samples))
         now |= {"iri": roughness_object(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
+    if MEASURED in recorded.responses:
+        from sim.studies.validity.measured_log import fits, until_end
+
+        logged = recorded.responses[MEASURED]
+        signals = tuple(one for name in logged.names for one in run.physics.signals if one.name == name)
+        measured = fits(Response(1e-9 * logged.times, signals, logged.values), until_end(run))
+        now |= {"beside": {name: one.record for name, one in measured.items()}}
     now = json.loads(json.dumps(now))
     holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers equal those of the repeated run"
     yield from _compared("result", "result.json", said, now, "numbers of the result", [holds])

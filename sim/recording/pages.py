@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.document.figure import BLACK, OTHERS, STYLES, styles
 from models.kinds.signals import Signal, is_kept
 from sim.drive.response import Response
-from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MUJOCO, SAMPLED, RunLog
+from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED, MUJOCO, SAMPLED, RunLog
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 # By response: (label, opacity, width). Rerun draws in the order of names, so MuJoCo's comes last: thin, within broad lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
 NEUTRAL = "#8c8c8c"  # for the report's black, as viewers are dark or light, which the user chooses
+LOGGED = "#ff9f1c"  # of a measured log
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]  # of curves that belong to no run
 
 TRAVEL = "suspension_deflection"
@@ -111,6 +112,13 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
         if signal.name in response.names:
             label, opacity, width = RESPONSES[topic]
             yield Curve(run, topic, signal.name, label, color + opacity, width)
+    yield from _measured(run, signal)
+
+
+def _measured(run: RunLog, signal: Signal) -> Iterator[Curve]:
+    """Yields the curve of a signal in the measured log of a run, if any."""
+    if MEASURED in run.acting and signal.name in run.acting[MEASURED].names:
+        yield Curve(run, MEASURED, signal.name, "measured", LOGGED, 2.5)
 
 
 def _compared(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
@@ -119,6 +127,7 @@ def _compared(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
     for run in runs:
         if signal.name in run.responses[MUJOCO].names:
             yield Curve(run, MUJOCO, signal.name, run.name, colour_of(runs, run), min(1.5 + names.index(run.name), 5.0))
+    yield from next(filter(None, ([*_measured(run, signal)] for run in runs)), ())
 
 
 def _road(runs: Sequence[RunLog], quantity: str) -> Plot:

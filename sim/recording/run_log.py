@@ -22,6 +22,7 @@ RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambd
 # is called `linear`; everywhere else it is "sampled".
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
 LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format lack them
+MEASURED = "measured"  # topic of a measured log, if any, at its own times
 WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 
@@ -38,7 +39,7 @@ class RunLog:
         scene: drawing of the vehicle.
         verdict: result of the comparison, in a few words; empty if nothing was compared.
         files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
-        acting: other forces by topic: loads on the body, and forces of dampers and springs.
+        acting: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
         diagrams: diagrams of damper and spring forces, each over its argument.
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """

@@ -22,7 +22,7 @@ from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
 from sim.drive.loop import DIVERGED
 from sim.drive.response import Response
-from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
 from sim.runs.run import Run
@@ -171,6 +171,7 @@ def record_runs(
     controllers: Sequence[str],
     runs: Mapping[str, Run],
     result: Mapping[str, Any],
+    measured: Response | None = None,
 ) -> dict[str, str]:
     """Records the runs of a command by `sim.recording.files.record`, under its name, vehicle file, controllers and time (UTC).
 
@@ -179,6 +180,7 @@ def record_runs(
         controllers: names of the controllers, for the name of the log.
         runs: runs by name in the log.
         result: result for `--json`.
+        measured: measured signals over the time of the runs, if any.
 
     Returns:
         Paths of the files, as of `sim.recording.files.record`.
@@ -188,7 +190,7 @@ def record_runs(
     """
     from sim.recording.files import record
 
-    logs = [run_log(run, name) for name, run in runs.items()]
+    logs = [run_log(run, name, measured) for name, run in runs.items()]
     time = logs[0].responses[MUJOCO].time
     timestep, match = float(time[1] - time[0]), re.match(r"python -m sim\.(\w+)( |$)", command_line)
     metadata = {
@@ -265,12 +267,13 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
     return claims | named, files
 
 
-def run_log(run: Run, name: RunName) -> RunLog:
+def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog:
     """Returns the data of a run to be recorded, for `sim.record`.
 
     Args:
         run: run from MuJoCo, not from a log.
         name: name of the run in the log.
+        measured: measured signals over the time of the run, if any; those of other vehicles are left out.
 
     Raises:
         InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.
@@ -302,6 +305,8 @@ def run_log(run: Run, name: RunName) -> RunLog:
         from sim.runs.force_diagram import diagrams, pulled
 
         acting[DAMPERS], drawn = pulled(vehicle, run.physics), tuple(diagrams(vehicle))
+    if measured is not None and (names := [one for one in measured.names if one in run.physics.names]):
+        acting[MEASURED] = measured.only(names)
     return RunLog(
         name=name,
         responses={name: one for name, one in responses.items() if name == MUJOCO or not np.isnan(one.values).all()},

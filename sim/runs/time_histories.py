@@ -8,7 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.document.figure import Curve, Figure, Panel, Style, margined, styles, thinned
+from models.document.figure import GREY, Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.drive.response import Response
 from sim.observers.steps import WHEN
@@ -106,8 +106,9 @@ def history_panels(
     runs: Sequence[RunResult],
     looks: Mapping[str, Style],
     during: tuple[float, float] | None = None,
+    measured: Response | None = None,
 ) -> list[Panel]:
-    """Returns a panel for each weighted signal that moves.
+    """Returns a panel for each weighted or measured signal that moves.
 
     An unstable run, and one that broke off, does not widen the axis. Such a run is drawn until it leaves the axis, which the
     title shows.
@@ -116,16 +117,20 @@ def history_panels(
         runs: runs over one road.
         looks: styles of the controllers, by name.
         during: stretch of time that is drawn [s]; None for all.
+        measured: measured signals over the time of the runs, if any.
     """
     panels = []
     start, end = during or (0.0, _end(runs))
     every = max(1, round((end - start) / (POINTS * runs[0].prediction.timestep)))
-    for name, signal in _weighed(runs).items():
+    logged = None if measured is None else _between(measured, start, end)
+    signals = _weighed(runs) | ({} if measured is None else dict(zip(measured.names, measured.signals, strict=True)))
+    for name, signal in signals.items():
         traces = [_trace(run, name, start, end) for run in runs if _moves(run, name)]
         if not any(len(trace.values) for trace in traces):
             continue
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
-        low, high = margined(_seen(traces))
+        of_log = logged[name] if logged is not None and name in logged.names else np.zeros(0)
+        low, high = margined([*_seen(traces), *([of_log[np.isfinite(of_log)]] if np.isfinite(of_log).any() else [])])
         dense = during is None and max(_swings(trace.physics[name]) for trace in traces) > MOST_SWINGS
         left = [trace.left(low, high) for trace in traces]
         curves = [
@@ -133,6 +138,8 @@ def history_panels(
             for trace, at in zip(traces, left, strict=True)
             for curve in trace.curves(looks[trace.run.controller.name], DENSE if dense else LINE, every, at)
         ]
+        if logged is not None and len(of_log):
+            curves.insert(0, Curve(logged.time, of_log, "measured", GREY, width=2 * LINE))
         title = f"{words}, {signal.symbol}"
         title += f", from {WHEN.digits(start)} to {WHEN.text(end)}" if during else ""
         gone = sorted((at, trace.run.controller.name) for trace, at in zip(traces, left, strict=True) if at < math.inf)
@@ -181,21 +188,22 @@ def _swings(values: Array) -> int:
     return int(np.count_nonzero(np.diff(values > values.mean()))) if len(values) else 0
 
 
-def history_figure(runs: Sequence[RunResult], where: str) -> Figure | None:
+def history_figure(runs: Sequence[RunResult], where: str, measured: Response | None = None) -> Figure | None:
     """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
 
     The panels of a long run, with lines too dense to distinguish, have those of its hardest stretch next to them.
 
     Args:
         where: the road in words, after "over".
+        measured: measured signals over the time of the runs, if any.
     """
     looks = styles(tuple(run.controller.name for run in runs))
-    panels = history_panels(runs, looks)
+    panels = history_panels(runs, looks, measured=measured)
     if not panels:
         return None
     columns, note = min(len(panels), 2 if len(panels) <= 4 else 3), ""
     if (during := _hardest_stretch(runs)) is not None:
-        near = history_panels(runs, looks, during)
+        near = history_panels(runs, looks, during, measured)
         panels, columns = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2
         note = f". Each signal is shown over the whole run, then from {WHEN.digits(during[0])} to {WHEN.text(during[1])}"
     broken = [

@@ -28,7 +28,8 @@ duration = 0.2
 timestep = 5e-3
 """
 VEHICLE = read_vehicle("quarter_car")
-FILES = {"campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
+LOG = "time [s];sprung_acceleration [g]\n" + "".join(f"{0.01 * i:.2f};{i % 5}\n" for i in range(21))
+FILES = {"log.csv": LOG, "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
 LIMITS, DAMPER = ("--vehicle", "quarter_car.toml"), ("--vehicle", "quarter_car_semi_active", "--controller", "skyhook")
 ONE, STEP = ("--controller", "I"), ("--timestep", "0.005")
 SHORT = (*STEP, "--duration", "0.2", "--no-logs")
@@ -48,7 +49,12 @@ CASES = {  # the cases of each command: their names and options
     },
     "sim.new": {"plain": ("car.toml", "--schema")},
     "sim.bump": {"plain": (*ONE, *LIFTS), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
-    "sim.drive": {"plain": (*ONE, *SHORT), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
+    "sim.drive": {
+        "plain": (*ONE, *SHORT),
+        "limits": (*ONE, *SHORT, *LIMITS),
+        "damper": (*DAMPER, *SHORT),
+        "measured": (*ONE, *SHORT, "--beside", "log.csv", "--beside-remove-offset"),
+    },
     "sim.sweep": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
     "sim.margins": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
     "sim.envelope": {"plain": (*ONE, *MAP), "plane": (*ONE, *MAP, "--vary", "speed:10:20:2")},

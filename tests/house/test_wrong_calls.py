@@ -34,6 +34,7 @@ WRONG: dict[str, Any] = {
     "shape": np.zeros((3, 5)),
     "nans": np.full((1, 2), math.nan),
 }
+LOOP = Path(__file__).parents[1] / "models" / "mr_damper_loop.csv"
 TEXTS = ("", "../x", "a\0", "a" * 500)
 
 
@@ -93,6 +94,10 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "Profile": (models.Profile, {**points, "speed": 10.0, "source": "mine"}),
         "Rig": (models.Rig, {**history, "source": "mine"}),
         "choose_road": (models.choose_road, {"text": "bump:height=0.1", "folder": Path()}),
+        "read_measured_log": (
+            models.read_measured_log,
+            {"path": LOOP, "units": {"force": "N"}, "rate": 100.0, "columns": {"force": "force [N]"}},
+        ),
         "Parameter": (
             models.Parameter,
             {"name": "mass", "unit": "kg", "meaning": "all", "positive": True, "varied": None, "largest": 1e3, "usual": 1.0},
@@ -212,6 +217,7 @@ NAMED_OTHERWISE = {
     ("Designer.design", "name"),
     ("design_controllers", "names"),
     ("Parameter", "usual"),
+    ("read_measured_log", "path"),
 }
 
 

@@ -1,0 +1,1 @@
+"""Measured logs of test rigs and vehicles."""

@@ -1,0 +1,184 @@
+"""Measured logs: columns over time, named like signals, from any table of numbers (`models.common.table`).
+
+A heading names a signal in any case and order of words: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection [mm]`. Cells may
+be missing, and times may be uneven.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, alike, first_few, listing, quoted
+from models.common.files import reading
+from models.common.quantities import CORNERS, NAMES, Heading, columns_in_words, heading_of, left_out_words
+from models.common.table import find_table, table_text
+from models.common.units import unit_size
+
+GIVE = "give a line of headings such as: time [s], sprung_acceleration [m/s2], and below it one line for each time"
+GAP = 5.0  # longest step between samples over the median step: nothing is known within longer ones
+ROWS = 100  # that show the number of columns: the first row may end with missing cells
+LEAST = 3  # samples of a log
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLog:
+    """Measured signals over time.
+
+    Attributes:
+        source: path of the file.
+        time: ascending times of the samples, in the log's own clock [s], shape (n,).
+        signals: measured values in SI units, shape (n,), by name of the signal; NaN where a cell is missing.
+        remarks: columns that are left out, and units that are assumed.
+    """
+
+    source: str
+    time: Array
+    signals: Mapping[str, Array]
+    remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def step(self) -> float:
+        """The median step between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    def at(self, name: str, time: Array) -> Array:
+        """Returns a signal at some times [s], linear between samples; NaN outside the log and within its gaps."""
+        values = np.interp(time, self.time, self.signals[name], left=np.nan, right=np.nan)
+        after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
+        apart = self.time[after] - self.time[after - 1]
+        between = (time > self.time[after - 1]) & (time < self.time[after])
+        return np.where(between & (apart > GAP * self.step), np.nan, values)
+
+
+def read_measured_log(
+    path: Path, units: Mapping[str, str], rate: float | None = None, columns: Mapping[str, str] = {}
+) -> MeasuredLog:
+    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat or .xlsx.
+
+    Times count from the first sample if they are times of day, or follow from the rate.
+
+    Args:
+        units: SI unit of each signal that may be read, by name.
+        rate: sample rate of a file without a column of time [Hz]; None for a file with one.
+        columns: headings of signals that have other names in the file, by name of the signal; with a unit if the file has none.
+
+    Raises:
+        InputError: the file cannot be read, no column is named like a signal, a unit is wrong, or times do not ascend.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from models import read_measured_log
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder, "log.csv")
+        ...     _ = path.write_text("time [ms]; Sprung Acceleration (g)\\n0; 0,1\\n10; 0,2\\n20; 0,1\\n")
+        ...     log = read_measured_log(path, {"sprung_acceleration": "m/s2"})
+        >>> log.time.tolist(), log.signals["sprung_acceleration"].round(4).tolist()
+        ([0.0, 0.01, 0.02], [0.9807, 1.9613, 0.9807])
+    """
+    with reading(path, "measured log", GIVE):
+        if rate is not None and not 0 < rate < np.inf:
+            raise InputError(f"a sample rate of {rate:g} Hz is not allowed; give a number above 0")
+        for name in columns:
+            if name not in units:
+                raise InputError(f"there is no signal {quoted(name)} to compare; give one of {alike(name, units)}")
+        table = find_table(table_text(path), GIVE)
+        table = replace(table, count=max(len(cells) for _, cells in islice(table.rows(), ROWS)))
+        headings = table.headings({*units.values(), "s"}, alike=True)
+        # The heading t_s is not a unit t/s.
+        headings = [one if one.name or not one.text else heading_of(one.text, ("s",), one.column) for one in headings]
+        clocks = [one for one in headings if _is_time(one)]
+        clocks = [one for one in clocks if one.quantity == "time"] or clocks
+        if rate is None and not clocks:
+            found = first_few([quoted(one.text) for one in headings if one.text], 8)
+            raise InputError(
+                f"no column is called time (columns: {found}); name it as in time [s], or give the sample rate (--beside-rate)"
+            )
+        if rate is not None and clocks:
+            raise InputError(f"{columns_in_words(clocks[:1])} has times; omit the sample rate (--beside-rate)")
+        used = _columns_of([one for one in headings if one not in clocks], units, columns)
+        remarks = left_out_words(headings, [one.column for one in (*used.values(), *clocks[:1])])
+        stamped = rate is None and ":" in next(table.rows())[1][clocks[0].column - 1]  # times of day
+        bare = [(one, units[name]) for name, one in used.items()] + [(one, "s") for one in clocks[:1] if not stamped]
+        remarks += [f"{columns_in_words([one])} has no unit and counts in {unit}" for one, unit in bare if not one.unit]
+        scales = [_scale(one, units[name], name) for name, one in used.items()]
+        numbers, lines = table.numbers([one.column - 1 for one in used.values()], ragged=True, gaps=True)
+        time = np.arange(len(numbers)) / rate if rate is not None else table.seconds(clocks[0], "s")
+        time = time - time[0] if stamped else time
+        for i in np.flatnonzero(np.diff(time) < 0)[:1]:
+            raise InputError(
+                f"time falls from {time[i]:.9g} to {time[i + 1]:.9g} s at line {lines[i + 1]}; give one test in each file"
+            )
+        new = np.append(True, np.diff(time) > 0)  # rounded times may be equal
+        if new.sum() < LEAST:
+            raise InputError(f"the file has {new.sum()} sample(s), but at least {LEAST} are needed")
+        values = (numbers * scales)[new].T
+        signals = dict(zip(used, values, strict=True))
+        for name, one in signals.items():
+            if np.isfinite(one).sum() < LEAST:
+                raise InputError(f"{columns_in_words([used[name]])} has less than {LEAST} numbers; remove the column")
+        return MeasuredLog(str(path), time[new], signals, tuple(remarks))
+
+
+def _is_time(heading: Heading) -> bool:
+    """Returns True for a column of times; LabVIEW calls one X_Value."""
+    named = "time" in {NAMES.get(word) for word in heading.words} or heading.name.lower() == "x_value"
+    return named and (not heading.unit or unit_size(heading.unit, "s") is not None)
+
+
+def _key(text: str) -> frozenset[str]:
+    """Returns the words of a name in any order and case, as of `FrontLeftTravel` and `travel FL`."""
+    words: list[str] = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
+    return frozenset(part for word in words for part in CORNERS.get(word, word).split("_"))
+
+
+def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapping[str, str]) -> dict[str, Heading]:
+    """Returns the column of each signal, by the signal's name.
+
+    Raises:
+        InputError: no column is a signal's, or several are the same one's, or a given heading does not exist.
+    """
+    used = dict[str, Heading]()
+    for name, unit in units.items():
+        given = heading_of(columns[name], (unit,)) if name in columns else Heading(name, name)
+        keys = {_key(given.name), _key(given.text)}
+        ones = [one for one in headings if {_key(one.name), _key(one.text)} & keys]
+        if name in columns:  # other brackets belong to the name
+            known = [[one for one in (each.unit, given.unit) if one and unit_size(one, one)] for each in ones]
+            ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
+        if len(ones) > 1:
+            raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")
+        if name in columns and not ones:
+            texts = alike(columns[name], [quoted(one.text) for one in headings if one.text])
+            raise InputError(f"no column is called {quoted(columns[name])}; the columns are {texts}")
+        used |= {name: ones[0]} if ones else {}
+    if not used:
+        near = [name for one in headings for name in get_close_matches(one.name.lower().replace(" ", "_"), units, 1)]
+        found = first_few([quoted(one.text) for one in headings if one.text], 8) or "without names"
+        raise InputError(
+            f"no column is called like a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; nearest "
+            f"signals: {listing({*near} or units)}"
+        )
+    return used
+
+
+def _scale(heading: Heading, si: str, name: str) -> float:
+    """Returns the size of a column's unit in that of its signal.
+
+    Raises:
+        InputError: the unit is unknown, or of another quantity.
+    """
+    size = unit_size(heading.unit or si, si)
+    if size is None:
+        raise InputError(
+            f"{columns_in_words([heading])} has the unit {quoted(heading.unit)}, but {name} is in {si}; write the heading as in "
+            f"{name} [{si}], and convert the column"
+        )
+    return size

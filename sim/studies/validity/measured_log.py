@@ -1,0 +1,279 @@
+"""Runs compared with a measured log: its start by correlation, the samples at common times, and the fit of each signal.
+
+The fit is 1 - rms(measured - MuJoCo) / rms(measured): 1 for equal signals, 0 for a run without motion. Runs and log are compared
+at the instants of the coarser of the two, where both have values.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.logs.measured_log import LEAST, MeasuredLog
+from models.document.document import Document, Table, notes
+from models.document.field import Field
+from models.kinds.signals import Signal
+from sim.drive.response import Response
+from sim.observers.steps import WHEN
+from sim.runs.result import RunResult
+
+LEAST_OVERLAP = 0.5  # of the shorter of log and run, for a start by correlation
+MOST_SAMPLES = 2**21  # of log and run at one rate, to correlate them
+WEAK = 0.5  # correlation below which a remark asks for the start
+OFFSET = 0.1  # gain of the fit by removing an offset that is remarked
+OPPOSITE, CLEARLY = -0.5, 1.1  # correlation of a column whose sign is likely wrong, and its ratio to that with the given sign
+
+
+@dataclass(frozen=True)
+class SignalFit:
+    """Measured signal compared with a run.
+
+    Attributes:
+        fit: 1 - rms(measured - MuJoCo) / rms(measured); None if the measured signal is zero.
+        fit_without_offset: the fit if the offset is removed from the measured signal; None if nothing remains.
+        correlation: correlation coefficient; None if one of the two is constant.
+        offset: mean of measured - MuJoCo, in the signal's SI unit.
+        rms: rms of the measured signal, in the signal's SI unit.
+        samples: number of compared samples.
+    """
+
+    fit: float | None
+    fit_without_offset: float | None
+    correlation: float | None
+    offset: float
+    rms: float
+    samples: int
+
+    @property
+    def record(self) -> dict[str, float | int | None]:
+        """Returns the comparison as an object for JSON."""
+        return asdict(self)
+
+
+_Row = tuple[Signal, str, SignalFit]  # signal, name of the run
+
+
+def _fit_of(row: _Row) -> SignalFit:
+    return row[2]
+
+
+START = Field[float]("start", float, ".4f", unit="s")
+RMS = Field[SignalFit]("measured rms", lambda one: one.rms, ".4g")
+MEAN = Field[SignalFit]("offset", lambda one: one.offset, ".3g")
+CORRELATION = Field[SignalFit]("correlation", lambda one: one.correlation, ".3f")
+FIT = Field[SignalFit]("fit", lambda one: one.fit, ".3f")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredComparison:
+    """A measured log at the instants of runs.
+
+    Attributes:
+        log: the log.
+        start: time of the log at the start of the runs, in the log's own clock [s].
+        correlation: mean correlation of the signals at that start, for the run with the largest one.
+        given: True if the user gave the start.
+        response: measured signals over the time of the runs; NaN within gaps.
+        offsets: removed offset of each signal, in its SI unit; empty if none were removed.
+        opposite: signals that correlate better with the opposite sign, at any start.
+        fits: fits of each run, by name of the signals that the run has.
+    """
+
+    log: MeasuredLog
+    start: float
+    correlation: float
+    given: bool
+    response: Response
+    offsets: Mapping[str, float]
+    opposite: tuple[str, ...]
+    fits: tuple[Mapping[str, SignalFit], ...]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Returns the alignment as an object for JSON."""
+        first, last = (float(self.response.time[i]) for i in (0, -1))
+        return {
+            "file": self.log.source,
+            "start": self.start,
+            "start_given": self.given,
+            "correlation": self.correlation,
+            "first": first,
+            "last": last,
+            "offsets": dict(self.offsets),
+        }
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """Remarks on the log and on its columns: a weak correlation, an opposite sign, an offset."""
+        about = f"measured log {self.log.source}: "
+        yield from (f"{about}{remark}" for remark in self.log.remarks)
+        if not self.given and self.correlation < WEAK:
+            most = CORRELATION.digits(self.correlation)
+            yield f"{about}the largest correlation with a run is only {most}; check the start, or give it"
+        for name in self.response.names:
+            ones = [fits[name] for fits in self.fits if name in fits]
+            best = max(ones, key=lambda one: one.correlation or 0.0)
+            centred = best.fit_without_offset
+            if name in self.opposite or (best.correlation or 0.0) < OPPOSITE:
+                yield f"{about}{name} correlates better with the opposite sign; check the sign of its column"
+            elif best.fit is not None and centred is not None and centred > max(best.fit, 0.0) + OFFSET:
+                fit = FIT.digits(centred)
+                yield f"{about}{name} has an offset of {MEAN.cell(best)}; the fit is {fit} with --beside-remove-offset"
+
+    def describe(self, names: Sequence[str]) -> Document:
+        """Describes the comparison: a table of the fits, and the start.
+
+        Args:
+            names: names of the runs.
+        """
+        rows = [
+            (signal, name, fits[signal.name])
+            for signal in self.response.signals
+            for name, fits in zip(names, self.fits, strict=True)
+            if signal.name in fits
+        ]
+        several = len(names) > 1
+        fields = (
+            Field[_Row]("signal", lambda row: row[0].name),
+            *([Field[_Row]("controller", lambda row: row[1])] if several else []),
+            Field[_Row]("unit", lambda row: row[0].unit),
+            *(one.of(_fit_of) for one in (RMS, MEAN, CORRELATION, FIT)),
+        )
+        caption = "fit = 1 - rms(measured - MuJoCo) / rms(measured)"
+        first, last = (float(self.response.time[i]) for i in (0, -1))
+        how = "as given" if self.given else "by correlation"
+        start = f"{caption}, from {WHEN.digits(first)} to {WHEN.text(last)}. The runs start at {START.text(self.start)} of "
+        start += f"{self.log.source} ({how}){'; the mean difference is removed from each signal' * bool(self.offsets)}"
+        return Document("", (Table.of("measured", caption, fields, rows, words=2 + several), *notes(start)))
+
+
+def compare_log(
+    log: MeasuredLog, runs: Sequence[RunResult], start: float | None = None, remove_offsets: bool = False
+) -> MeasuredComparison:
+    """Aligns a log with runs of the same duration.
+
+    Args:
+        start: time of the log at the start of the runs [s]; None for the start with the largest correlation.
+        remove_offsets: True to remove the offset from each signal, as the run with the largest correlation shows it.
+
+    Raises:
+        InputError: log and runs have no common time, or a signal has no value in it.
+    """
+    several = [until_end(run) for run in runs]
+    if min(len(one.time) for one in several) < LEAST:
+        raise InputError(f"measured log {log.source}: a run broke off at its start, and cannot be compared; omit its controller")
+    given = start is not None
+    starts = [(start, ())] * len(runs) if start is not None else [_best_start(log, one) for one in several]
+    scores = [_score(log, one, at) for one, (at, _) in zip(several, starts, strict=True)]
+    best = int(np.argmax(scores))
+    (at, opposite), run = starts[best], several[best]
+    signals = {signal.name: signal for one in several for signal in one.signals}
+    response = _aligned(log, run, at, [signals[name] for name in log.signals])
+    finite = np.isfinite(response.values)
+    if not finite.any(axis=0).all():
+        first, last = (float(log.time[i] - at) for i in (0, -1))
+        raise InputError(
+            f"measured log {log.source}: a signal has no value during the run; the log covers {first:.4g} to {last:.4g} s of the "
+            f"run, which takes {run.time[-1]:.4g} s; give another start"
+        )
+    offsets = {name: one.offset for name, one in fits(response, run).items()} if remove_offsets else {}
+    moved = replace(response, values=response.values - [offsets.get(name, 0.0) for name in response.names])
+    return MeasuredComparison(log, at, scores[best], given, moved, offsets, opposite, tuple(fits(moved, one) for one in several))
+
+
+def until_end(run: RunResult) -> Response:
+    """Returns MuJoCo's response until the run broke off."""
+    return run.physics if run.broke_off is None else run.physics.until(run.broke_off[1])
+
+
+def _aligned(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
+    """Returns measured signals over a run's time, at the instants of the coarser of the two."""
+    relative = log.time - start
+    if log.step > run.time[1] - run.time[0]:
+        during = (relative >= 0) & (relative <= run.time[-1])
+        time, values = relative[during], [log.signals[one.name][during] for one in signals]
+    else:
+        time = run.time[(run.time >= relative[0]) & (run.time <= relative[-1])]
+        values = [log.at(one.name, time + start) for one in signals]
+    return Response(time, tuple(signals), np.stack(values, axis=-1))
+
+
+def fits(measured: Response, physics: Response) -> dict[str, SignalFit]:
+    """Compares measured signals with a run, by name of the signals that both have, at the measured instants within the run."""
+    results: dict[str, SignalFit] = {}
+    for name in measured.names:
+        if name not in physics.names:
+            continue
+        m, r = measured[name], np.interp(measured.time, physics.time, physics[name], right=np.nan)
+        both = np.isfinite(m) & np.isfinite(r)
+        if not both.any():
+            continue
+        m, r = m[both], r[both]
+        spread, offset = float(m.std() * r.std()), float(np.mean(m - r))
+        correlation = float(np.mean((m - m.mean()) * (r - r.mean()))) / spread if spread else None
+        results[name] = SignalFit(_fit(m, r), _fit(m - offset, r), correlation, offset, _rms(m), int(both.sum()))
+    return results
+
+
+def _fit(measured: Array, run: Array) -> float | None:
+    return 1 - _rms(measured - run) / rms if (rms := _rms(measured)) else None
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _score(log: MeasuredLog, run: Response, start: float) -> float:
+    """Returns the mean correlation of the signals that log and run have, at a start of the log [s]."""
+    signals = [one for one in run.signals if one.name in log.signals]
+    ones = fits(_aligned(log, run, start, signals), run).values() if signals else ()
+    known = [one.correlation for one in ones if one.correlation is not None]
+    return sum(known) / max(len(known), 1)
+
+
+def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]]:
+    """Returns the time of the log at which the run starts [s], by the largest correlation of the signals that both have.
+
+    The names of signals follow that correlate better with the opposite sign, at any start.
+
+    Log and run are correlated at one rate first. Each signal counts relative to its rms over the whole run and over the part of
+    the log that the run covers, without means. The start is then refined between the samples.
+    """
+    from scipy.optimize import minimize_scalar
+    from scipy.signal import correlate
+
+    step = run.time[1] - run.time[0]
+    step *= max(1.0, (log.time[-1] - log.time[0] + run.time[-1]) / step / MOST_SAMPLES)
+    at = np.arange(log.time[0], log.time[-1] + step / 2, step)
+    grid = np.arange(0.0, run.time[-1] + step / 2, step)
+    total, opposite = np.zeros(len(at) + len(grid) - 1), list[str]()
+
+    def sums(values: Array, weights: Array) -> Array:
+        """Returns the sums of products over all shifts."""
+        return np.asarray(correlate(values, weights, mode="full", method="fft"))
+
+    for name in (name for name in log.signals if name in run.names):
+        m, r = log.at(name, at), np.interp(grid, run.time, run[name])
+        known = np.isfinite(m).astype(float)
+        m = np.where(known > 0, m - np.nanmean(log.signals[name]), 0.0)
+        r, ones = r - r.mean(), np.ones_like(r)
+        count, sum_m, square = (sums(one, ones) for one in (known, m, m**2))
+        enough = count >= max(LEAST_OVERLAP * min(known.sum(), len(r)), 2.0)
+        count = np.maximum(count, 1.0)
+        varied = square - sum_m**2 / count
+        enough &= varied > 1e-9 * square.max()
+        both = sums(m, r) - sum_m * sums(known, r) / count
+        scale = np.sqrt(np.where(enough, varied, 1.0) * max(float(np.sum(r**2)), np.finfo(float).tiny))
+        correlation = np.where(enough, both / scale, 0.0)
+        opposite += [name] * bool(-correlation.min() > CLEARLY * correlation.max())
+        total += np.where(enough, correlation, -1.0)
+    shift = int(np.argmax(total)) - len(grid) + 1 if total.max() > 0 else 0
+    coarse = float(log.time[0] + step * shift)
+    room = max(step, log.step / 2)
+    finer = minimize_scalar(
+        lambda start: -_score(log, run, start), bounds=(coarse - room, coarse + room), method="bounded", options={"xatol": 1e-7}
+    )
+    return float(finer.x) if -finer.fun > _score(log, run, coarse) + 1e-12 else coarse, tuple(opposite)
