@@ -16,13 +16,14 @@ from sim.drive import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
 CHECKS = ("runs", "seed")  # options of --verify, and of all else
-RUNS = ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "best", "subject_to", "save", "exported")
+RESULTS = ("picture", "verbose", "brief", "best", "subject_to", "save")  # what is done with all results
+RUNS = ("results", "workers", "batch", "ray", "exported", "part", "merge", *RESULTS)
 NAMES = {"subject_to": "subject-to", "exported": "as"}
 
 EPILOG = """
 A run fails if its control law in Python raises an error, ends its process, or takes longer than 10 s for a call or 100 times real
 time. The results then contain the reason. A campaign that was interrupted, even by a power cut, continues when you start the same
-command again; a few seconds of work are lost. It cannot continue if the file of a control law has changed.
+command again, also with --part; a few seconds of work are lost. It cannot continue if the file of a control law has changed.
 
 exit code: 0 every run is finished (with --verify: the results are correct); 1 --verify found an error, a controller cannot be
 designed, or no controller is within the limits of --subject-to; 2 invalid input or a full disk; 130 interrupted: finished runs
@@ -32,6 +33,8 @@ examples:
   python -m sim.campaign campaign.toml
   python -m sim.campaign campaign.toml --results /data/campaign --workers 8 --json
   python -m sim.campaign campaign.toml --ray auto
+  python -m sim.campaign campaign.toml --part 3/40
+  python -m sim.campaign campaign.toml --merge
   python -m sim.campaign campaign.toml --best ride --subject-to peak_travel:0.08 --save tuned.toml
   python -m sim.campaign --verify campaign-results
 """
@@ -50,8 +53,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name in options.given or (name == "subject_to" and options.subject_to):
             which = "needs --verify" if name in CHECKS else "cannot be combined with --verify"
             raise InputError(f"--{NAMES.get(name, name)} {which}; omit --{NAMES.get(name, name)}")
-    from sim.campaign.command import check_results, run_campaign
+    for option, others in {"part": ("merge", *RESULTS), "merge": ("workers", "batch", "ray", "exported")}.items():
+        for name in others if option in options.given else ():
+            if name in options.given or (name == "subject_to" and options.subject_to):
+                raise InputError(f"--{NAMES.get(name, name)} cannot be combined with --{option}; omit --{NAMES.get(name, name)}")
+    from sim.campaign.command import check_results, run_campaign, run_part
 
+    if options.part is not None:
+        return run_part(options)
     return run_campaign(options) if options.verify is None else check_results(options)
 
 
@@ -93,6 +102,13 @@ def _parser() -> Parser:
         metavar="ADDRESS",
         help="run on a Ray cluster: HOST:PORT of its head, or auto (default without ADDRESS: the cores of this machine)",
     )
+    parser.add_argument(
+        "--part",
+        metavar="K/N",
+        help="run only part K of N parts, for example as a job of a cluster; parts may run at the same time if they share the "
+        "folder of the results",
+    )
+    parser.add_argument("--merge", action="store_true", help="make the results of the whole campaign from its finished parts")
     parser.add_argument(
         "--verify",
         type=Path,

@@ -3,14 +3,14 @@
 import argparse
 import json
 import sys
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from models.common.command import complain, print_json, versions
 from models.common.errors import InputError, listing
-from models.common.files import read_text
+from models.common.files import made_folder, read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
 from models.document.document import Document
@@ -19,12 +19,13 @@ from models.document.picture import write_picture
 from models.document.text import text_lines
 from models.roads.opencrg import Surface
 from models.roads.profile import Profile
-from sim.campaign import MOST_RUNS
+from sim.campaign import MOST_RUNS, parts
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns
 from sim.campaign.controllers import check_code, designed, planned
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
-from sim.campaign.manifest import Manifest, gains_of, locked, read_manifest
+from sim.campaign.manifest import ELSEWHERE, FULL, NAME, PARTS, RESULTS, Manifest, gains_of, locked, read_manifest
+from sim.campaign.parts import CampaignPart
 from sim.campaign.plan import RATE, Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.summary import compare, compared_lines, describe, summarise, trade_off
@@ -44,47 +45,23 @@ def run_campaign(options: argparse.Namespace) -> int:
     Raises:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
     """
-    campaign = read_campaign(options.file)
-    first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
-    for road in campaign.roads:
-        if road.profile is not None and (remark := road.profile.remark(max(campaign.speeds) * campaign.duration)):
-            complain(f"remark: road {road.text!r}: {remark}")
-        if (
-            isinstance(road.road, Profile | Surface)
-            and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
-        ):
-            after = "it is straight from there on, which lowers every rms"
-            complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
+    campaign = _read(options)
     request = requested(campaign, options.best, options.subject_to or (), options.save)
     read = [options.file, *(file for vehicle in campaign.vehicles.values() for file in vehicle.files)]
     check_outputs({"picture": options.picture, "save": options.save}, read, options.json)
-    folder = options.results or options.file.with_name(f"{options.file.stem}-results")
-    if options.ray is not None and "workers" in options.given:
-        raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
-    workers = options.workers or cores()
-    with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
-        stage = Stages("designs", "runs", "results")
+    folder = _folder(options)
+    stage = Stages("designs", "runs", "results")
+    with _cluster(options), nullcontext() if options.merge else locked(folder):
         stage("designs")
+        if options.merge:
+            _merge(campaign, folder)
         manifest = _begun(campaign, folder, options.file, options.exported)
         plan, store = _plan(campaign, manifest, folder)
         store.tidy()
-        for remark in store.damaged:
-            print(f"roadproof: {remark}", file=sys.stderr)
-        stage("runs")
-        progress = Progress(plan, store.left, options.batch or RUNS_AT_ONCE, stage)
-
-        def write(start: int, rows: Rows, took: float) -> None:
-            store.write(start, rows)
-            progress.add(len(rows), took)
-
-        try:
-            run_batches(plan, plan.batches(store.missing(), progress.next_batch), workers, options.ray is not None, write)
-        except KeyboardInterrupt:
-            stage.end()
-            message = f"interrupted: {plan.count - store.left} of {plan.count} runs are kept; repeat the command to continue"
-            raise KeyboardInterrupt(message) from None
+        progress = _simulate(options, plan, store, stage)
+        if options.merge:
+            parts.remove(folder)
         stage("results")
-        store.finish()
         entries, standings = summarise(plan, store), compare(plan, store)
         choices = [choose(plan, store, request, vehicle) for vehicle in campaign.vehicles] if request is not None else []
         within = all(choice.within for choice in choices)
@@ -130,6 +107,113 @@ def run_campaign(options: argparse.Namespace) -> int:
     return 0 if within else 1
 
 
+def run_part(options: argparse.Namespace) -> int:
+    """Runs the missing part of a part of a campaign, and prints how far the campaign is; returns the exit code.
+
+    Raises:
+        InputError: a bad campaign file or results folder, a part that overlaps another one, or a disk that is full.
+    """
+    part, campaign, folder = parts.part_of(options.part), _read(options), _folder(options)
+    if (folder / NAME).exists():
+        raise InputError(f"{folder} contains the whole campaign; omit --part, or give another folder with --results")
+    parts.check_overlap(folder, sorted([*parts.there(folder), part]))
+    stage = Stages("designs", "runs")
+    with _cluster(options), made_folder(folder, "results", "give another folder with --results"):
+        stage("designs")
+        begun = _begun(campaign, folder / PARTS, options.file, options.exported, shared=True)
+        with made_folder(part.folder(folder), "results", FULL):
+            parts.begin(folder, part, begun)
+        parts.check(folder, part, begun, campaign.digest, _versions())
+        plan, store = _plan(campaign, begun, folder, part)
+        progress = _simulate(options, plan, store, stage)
+        if store.finished:
+            store.tidy()
+        stage.end()
+    left = parts.unfinished(folder, part.of)
+    if options.json:
+        about = {"results": str(store.results), "part": part.number, "parts": part.of, "runs": store.runs, "new": progress.done}
+        print_json({**about, "damaged": store.damaged, "unfinished": left})
+        return 0
+    now = f"{progress.done} of them simulated now, {RATE.text(progress.rate)}" if progress.done else "all simulated before"
+    lines = [f"part {part.number} of {part.of} has {store.runs} of the {plan.count} runs, {now}"]
+    lines += ["", "results", Whole(f"  {store.results}"), ""]
+    when = "when all are finished, merge them" if left else "all parts are finished; merge them"
+    lines += [f"{parts.parts_text(left, part.of)} {'is' if len(left) == 1 else 'are'} not finished"] if left else []
+    say([*lines, f"{when}: repeat this command with --merge instead of --part {part}"])
+    return 0
+
+
+def _read(options: argparse.Namespace) -> Campaign:
+    """Returns the campaign of the file, after remarks on its roads, and checks options that do not go together."""
+    campaign = read_campaign(options.file)
+    first, fastest, lasts = next(iter(campaign.vehicles.values())), max(campaign.speeds), campaign.duration
+    for road in campaign.roads:
+        if road.profile is not None and (remark := road.profile.remark(max(campaign.speeds) * campaign.duration)):
+            complain(f"remark: road {road.text!r}: {remark}")
+        if (
+            isinstance(road.road, Profile | Surface)
+            and road.build(first, fastest, 0, fastest * lasts).duration < MOST_OF_A_RUN * lasts
+        ):
+            after = "it is straight from there on, which lowers every rms"
+            complain(f"remark: road {road.text!r} ends before a run of {lasts:g} s at {fastest:g} m/s does; {after}")
+    if options.ray is not None and "workers" in options.given:
+        raise InputError("--workers sets threads of this machine, but --ray uses the workers of a cluster; omit one of the two")
+    return campaign
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    """Returns the folder of the campaign's results."""
+    return options.results or options.file.with_name(f"{options.file.stem}-results")
+
+
+def _cluster(options: argparse.Namespace) -> AbstractContextManager[None]:
+    """Returns the Ray cluster that runs the campaign, to be joined; nothing without `--ray`."""
+    return cluster(options.ray) if options.ray is not None else nullcontext()
+
+
+def _simulate(options: argparse.Namespace, plan: Plan, store: Store, stage: Stages) -> Progress:
+    """Runs what a folder has no rows of, and joins its files."""
+    for remark in store.damaged:
+        print(f"roadproof: {remark}", file=sys.stderr)
+    stage("runs")
+    progress = Progress(plan, store.left, options.batch or RUNS_AT_ONCE, stage)
+
+    def write(start: int, rows: Rows, took: float) -> None:
+        store.write(start, rows)
+        progress.add(len(rows), took)
+
+    batches = plan.batches(store.missing(), progress.next_batch)
+    try:
+        run_batches(plan, batches, options.workers or cores(), options.ray is not None, write)
+    except KeyboardInterrupt:
+        stage.end()
+        message = f"interrupted: {store.runs - store.left} of {store.runs} runs are kept; repeat the command to continue"
+        raise KeyboardInterrupt(message) from None
+    store.finish()
+    return progress
+
+
+def _merge(campaign: Campaign, folder: Path) -> None:
+    """Writes the results and the plan of the whole campaign from those of its parts, unless both are there.
+
+    Raises:
+        InputError: parts overlap, are missing or unfinished, or are of another campaign or of other versions.
+    """
+    if (folder / RESULTS).exists() and (folder / NAME).exists():  # and the removal of the parts was interrupted
+        return
+    some = parts.there(folder)
+    parts.check_complete(folder, some)
+    begun, used = read_manifest(folder / PARTS, ELSEWHERE), _versions()
+    if begun is None:
+        raise InputError(f"{folder / PARTS} contains no plan; {ELSEWHERE}")
+    begun.check(folder / PARTS, campaign.digest, used)
+    for part in some:
+        parts.check(folder, part, begun, campaign.digest, used)
+    _, store = _plan(campaign, begun, folder)
+    store.gather(_plan(campaign, begun, folder, part)[1] for part in some)
+    begun.write(folder)
+
+
 def check_results(options: argparse.Namespace) -> int:
     """Checks a finished campaign and prints the findings; returns the exit code.
 
@@ -169,6 +253,8 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
         if not file.is_file() or read_text(file, "campaign file", "") != manifest.campaign:
             remark = f"the campaign file {file} {now}; the copy in the folder of results is used"
     manifest.check(folder, campaign.digest, _versions(), FINISHED)
+    if manifest.part:
+        raise InputError(f"--verify {folder}: this folder contains only part {manifest.part} of a campaign; merge the parts")
     plan, store = _plan(campaign, manifest, folder)
     stage = Stages("rows", "repeated runs")
     stage("rows")
@@ -178,27 +264,28 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
     return plan.count, verified, remark
 
 
-def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None) -> Manifest:
-    """Returns the manifest in a folder, which is made, with gains designed now, if the campaign begins now."""
+def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None, shared: bool = False) -> Manifest:
+    """Returns the manifest in a folder, or in the `shared` one of parts. If the campaign begins now, gains are designed now."""
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
         raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; list fewer seeds or samples")
-    manifest, used = read_manifest(folder), _versions()
+    used, manifest = _versions(), read_manifest(folder) if folder.exists() else None
     if manifest is None:
         gains = gains_of(designed(campaign, exported))
         manifest = Manifest(str(file.absolute()), campaign.digest, used, campaign.text, gains, count)
-        manifest.write(folder)
+        manifest = manifest.publish(folder) if shared else manifest.write(folder)
     manifest.check(folder, campaign.digest, used)
     if exported is not None:
         check_code(manifest.controllers, exported)
     return manifest
 
 
-def _plan(campaign: Campaign, manifest: Manifest, folder: Path) -> tuple[Plan, Store]:
-    """Returns the runs with the gains that the campaign began with, and their results."""
+def _plan(campaign: Campaign, manifest: Manifest, folder: Path, part: CampaignPart | None = None) -> tuple[Plan, Store]:
+    """Returns the runs with the gains that the campaign began with, and the results of the campaign or of a part of it."""
     about = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
     plan = planned(replace(campaign, earlier=manifest.earlier), manifest.controllers)
-    return plan, Store(folder, columns(campaign, about), manifest.runs)
+    where, share = (folder, plan.share(1, 1)) if part is None else (part.folder(folder), plan.share(part.number, part.of))
+    return plan, Store(where, columns(campaign, about), share)
 
 
 def _versions() -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import secrets
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -13,7 +15,8 @@ from models.common.errors import InputError
 from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import AnyController
 
-NAME, RESULTS, LOCK = "plan.json", "results.parquet", ".lock"
+NAME, RESULTS, LOCK, PARTS = "plan.json", "results.parquet", ".lock", "parts"
+LEFT = ".*.part*"  # files that were being written when a process was killed, see `whole_file`
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
 FULL = "free some space, or give another folder with --results; finished runs are kept"
 ELSEWHERE = "give a new or empty folder with --results"
@@ -35,6 +38,7 @@ class Manifest:
         controllers: the gains.
         runs: number of runs.
         earlier: True for a campaign of an earlier version, see `RoadInput.earlier`.
+        part: the part of the campaign in its folder, such as 3/40; empty for a whole campaign.
     """
 
     file: str
@@ -44,15 +48,34 @@ class Manifest:
     controllers: Gains
     runs: int
     earlier: bool = False
+    part: str = ""
 
-    def write(self, folder: Path) -> None:
-        """Writes it into the results folder.
+    def write(self, folder: Path) -> "Manifest":
+        """Writes it into the results folder, and returns it.
 
         Raises:
             InputError: the file cannot be written.
         """
         with whole_file(folder / NAME, "results", FULL) as path:
             path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8", newline="\n")
+        return self
+
+    def publish(self, folder: Path) -> "Manifest":
+        """Makes a folder with this plan, unless another process makes it first; returns the plan that is there.
+
+        Raises:
+            InputError: the folder cannot be created.
+        """
+        beside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
+        with made_folder(beside, "results", FULL):
+            self.write(beside)
+        try:
+            beside.rename(folder)  # fails if there is a folder with files
+        except OSError as error:
+            shutil.rmtree(beside, ignore_errors=True)
+            if not (folder / NAME).exists():
+                raise InputError(f"results {folder}: cannot be written ({error.strerror or error}); {FULL}") from error
+        return read_manifest(folder) or self
 
     def check(self, folder: Path, digest: str, versions: Mapping[str, str], instead: str = ELSEWHERE) -> None:
         """Checks that the campaign of its folder has a checksum and versions; `instead` is the advice of the message.
@@ -85,12 +108,14 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         if not (folder / RESULTS).exists():
             raise InputError(f"the campaign in {folder} was started by Roadproof 0.1; finish it with Roadproof 0.1, or {instead}")
     if not path.exists():
-        others = sorted(other.name for other in folder.iterdir() if other.name != LOCK)
+        if (folder / PARTS).exists():
+            raise InputError(f"{folder} contains parts of a campaign; merge them with --merge, or {instead}")
+        others = sorted(other.name for other in folder.iterdir() if other.name != LOCK and not other.match(LEFT))
         if others:
             raise InputError(f"{folder} contains no campaign, but other files such as {others[0]}; {instead}")
         return None
     with reading(path, "campaign plan", instead):
-        whole = {"earlier": True, **json.loads(path.read_text(encoding="utf-8"))}
+        whole = {"earlier": True, "part": "", **json.loads(path.read_text(encoding="utf-8"))}
         names = [field.name for field in fields(Manifest)]
         if not {*names} <= {*whole}:
             raise InputError(f"the file lacks some of the entries {', '.join(names)}; restore this file, or {instead}")
@@ -117,12 +142,14 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             lock.acquire()
         except OSError as error:  # also of a lock that is held
-            raise InputError(
-                f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "
-                "wait for it, or give another folder with --results"
-            ) from error
+            # A finished campaign is only read: this needs no lock, which some network file systems do not have.
+            if isinstance(error, filelock.Timeout) or not (folder / RESULTS).exists():
+                raise InputError(
+                    f"another campaign is running in {folder}, or this folder cannot be locked ({error.strerror or 'locked'}); "
+                    "wait for it, or give another folder with --results"
+                ) from error
         try:
-            for left in folder.glob(".*.part*"):
+            for left in folder.glob(LEFT):
                 left.unlink()
             yield
         finally:

@@ -24,6 +24,9 @@ from synth.controller.controller import AnyController
 LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
 RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
+TOGETHER = 64  # runs in a row that one part of a campaign has, if there are enough
+MOST_ROUNDS = 64  # of such rows of runs, dealt to all parts of a campaign
+Runs = Sequence[tuple[int, int]]  # ascending (start, stop)
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,24 @@ class Plan:
             for candidate, some in block.candidates.items():
                 runs.setdefault(candidate, []).append(some)
         return {candidate: np.concatenate(some) for candidate, some in runs.items()}
+
+    def share(self, number: int, of: int) -> Runs:
+        """Returns the runs of a part of the campaign, from 1 on. All parts take about the same time.
+
+        The runs of each vehicle are dealt to the parts in rounds, each of which begins with another part. A part thus has runs of
+        all controllers, roads and speeds, many of them in a row.
+        """
+        share, start = list[tuple[int, int]](), 0
+        for stop in {block.vehicle: block.stop for block in self.blocks}.values():
+            rounds = min(max(1, (stop - start) // (of * TOGETHER)), MOST_ROUNDS)
+            for k in range(rounds):
+                at = k * of + (number - 1 - k * of // rounds) % of
+                first, last = (start + (stop - start) * i // (of * rounds) for i in (at, at + 1))
+                if share and share[-1][1] == first:
+                    first = share.pop()[0]
+                share += [(first, last)] * (first < last)
+            start = stop
+        return share
 
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
         """Yields the runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.

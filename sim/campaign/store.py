@@ -5,7 +5,7 @@ after any end: it runs what has no file. A file that is cut or empty is run agai
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,30 +17,32 @@ import pyarrow.parquet as pq
 from models.common.errors import InputError, first_few
 from models.common.files import reading, whole_file
 from sim.campaign.manifest import ELSEWHERE, FULL, RESULTS
+from sim.campaign.plan import Runs
 
 PART = re.compile(r"part-(\d{9})-(\d{9})\.parquet")
 
 
 class Store:
-    """The results folder of one campaign, used by one process at a time.
+    """The results folder of one campaign, used by one process at a time, or of a part of a campaign, used by any number.
 
     Attributes:
         folder: folder of the results.
         schema: columns of the results.
-        runs: number of runs of the campaign.
+        share: the runs whose rows the folder has in the end.
         parts: complete files of batches by their first run, with the run after their last.
         damaged: a sentence for each file that is not complete, and whose runs are run again.
     """
 
-    def __init__(self, folder: Path, schema: pa.Schema, runs: int) -> None:
+    def __init__(self, folder: Path, schema: pa.Schema, share: Runs) -> None:
         """Opens a folder, and changes nothing in it."""
-        self.folder, self.schema, self.runs = folder, schema, runs
+        self.folder, self.schema, self.share = folder, schema, share
         self.parts: dict[int, tuple[int, Path]] = {}
         self.damaged: list[str] = []
         found, at = [] if self.finished else sorted(path for path in folder.glob("part-*") if PART.fullmatch(path.name)), 0
         for path in found:
             start, stop = map(int, path.stem.split("-")[1:])
-            if at <= start < stop <= runs and self._has(path, start, stop):
+            planned = any(first <= start and stop <= last for first, last in share)
+            if at <= start < stop and planned and self._has(path, [(start, stop)]):
                 self.parts[start], at = (stop, path), stop
             else:
                 self.damaged.append(f"{path.name} is incomplete, or belongs to another campaign; its runs are simulated again")
@@ -65,8 +67,17 @@ class Store:
         """Returns the runs without a row, as ascending (start, stop)."""
         if self.finished:
             return []
-        starts, stops = [*sorted(self.parts), self.runs], [0, *(self.parts[start][0] for start in sorted(self.parts))]
-        return [(stop, start) for stop, start in zip(stops, starts, strict=True) if stop < start]
+        gaps, done = list[tuple[int, int]](), sorted(self.parts)
+        for first, last in self.share:
+            within = [start for start in done if first <= start < last]
+            starts, stops = [*within, last], [first, *(self.parts[start][0] for start in within)]
+            gaps += [(stop, start) for stop, start in zip(stops, starts, strict=True) if stop < start]
+        return gaps
+
+    @property
+    def runs(self) -> int:
+        """Returns the number of all runs."""
+        return sum(stop - start for start, stop in self.share)
 
     @property
     def left(self) -> int:
@@ -92,10 +103,34 @@ class Store:
         """
         if self.finished:
             return
-        self._write(self.results, self.read(self.schema.names).combine_chunks())
+        try:
+            table = self.read(self.schema.names)
+        except InputError:
+            if self.finished:  # by another process that ran this part, and has removed its files
+                return
+            raise
+        self._write(self.results, table.combine_chunks())
         for _, path in self.parts.values():
-            path.unlink()
+            path.unlink(missing_ok=True)
         self.parts = {}
+
+    def gather(self, stores: Iterable["Store"]) -> None:
+        """Writes the rows of all parts of the campaign into one file, in the order of their runs.
+
+        Raises:
+            InputError: a part cannot be read, has other rows than its share, or the file cannot be written.
+        """
+        pieces: dict[int, pa.Table] = {}
+        for store in stores:
+            table, at = store.read(self.schema.names), 0
+            if not _are_runs(table, store.share):
+                raise InputError(
+                    f"results {store.results}: these are not the rows of this part; remove it, and run the part again"
+                )
+            for start, stop in store.share:
+                pieces[start] = table.slice(at, stop - start).replace_schema_metadata(self.schema.metadata)
+                at += stop - start
+        self._write(self.results, pa.concat_tables(pieces[start] for start in sorted(pieces)).combine_chunks())
 
     def read(self, names: Sequence[str]) -> pa.Table:
         """Returns some columns of all rows so far.
@@ -106,16 +141,21 @@ class Store:
         paths = [self.results] if self.finished else [self.parts[start][1] for start in sorted(self.parts)]
         return pa.concat_tables([_read(path, names) for path in paths] or [self.schema.empty_table().select(list(names))])
 
-    def _has(self, path: Path, start: int, stop: int) -> bool:
+    def _has(self, path: Path, runs: Runs) -> bool:
         """Returns True if a file is complete, and has these runs and all columns."""
         try:
-            return np.array_equal(_read(path, ["run"], self.schema.names)["run"].to_numpy(), np.arange(start, stop))
+            return _are_runs(_read(path, ["run"], self.schema.names), runs)
         except InputError:
             return False
 
     def _write(self, path: Path, table: pa.Table) -> None:
         with whole_file(path, "results", FULL) as beside, beside.open("wb") as file:
             pq.write_table(table, file)
+
+
+def _are_runs(table: pa.Table, runs: Runs) -> bool:
+    """Returns True if the rows of a table are those of these runs, in order."""
+    return np.array_equal(table["run"].to_numpy(), np.concatenate([np.zeros(0, int), *(np.arange(*some) for some in runs)]))
 
 
 def _read(path: Path, names: Sequence[str], expected: Sequence[str] = ()) -> pa.Table:

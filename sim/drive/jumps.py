@@ -1,16 +1,43 @@
 """Jumps of signals at the samples, where a held force changes, or the held coefficient of an adjustable damper.
 
+A decision is such a jump by an adjustable damper, or of a force that is held for longer than a timestep. Peaks count the values
+on both sides of decisions and of vertical edges (`Response.before`), and nothing interpolates over them. A force that changes at
+every timestep stands for one that never jumps: of its signals, the values just after the jumps count.
+
 A run's signal at a sample is its value just after the jump, with the new force. Just before, it was less by D (u[k] - u[k-1]),
 with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, u jumps by
 -(c[k] - c[k-1]) v. A lagging force does not jump. A motion ratio that changes with travel does not jump, but scales both."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
+from sim.drive.response import Response
+
+
+def with_decisions(response: Response, vehicles: Sequence[Vehicle]) -> Response:
+    """Returns the response with its values just before decisions in `before`, but for samples at vertical edges of the road.
+
+    Args:
+        response: N runs, or a single one of one vehicle.
+        vehicles: N vehicles of one kind.
+    """
+    timestep = float(response.time[1] - response.time[0])
+    decides = np.array([bool(one.dampers) or steps_per_sample(one.implementation, timestep) > 1 for one in vehicles])
+    if not decides.any():
+        return response
+    values = np.moveaxis(response.values.reshape(len(vehicles), *response.values.shape[-2:]), 0, -1)
+    before = dict(response.before)
+    for name, jump in Jumps(vehicles, vehicles[0].linear_model.outputs)(values).items():
+        after = response[name]
+        at_edges = before.get(name, after)
+        before[name] = np.where(at_edges != after, at_edges, after - np.where(decides[:, None], jump, 0.0).reshape(after.shape))
+    return replace(response, before=before)
 
 
 class Jumps:

@@ -53,8 +53,8 @@ class Response(Shown):
         time: sample times [s], shape (T,).
         signals: S signals of the last axis of `values`, each with its unit.
         values: shape (..., T, S); leading axes are runs.
-        before: values just before the decisions of adjustable dampers, and on the other side of vertical edges of the road, by
-            name of the signals that jump there, shape (..., T).
+        before: values just before decisions (`sim.drive.jumps`), and on the other side of vertical edges of the road, by name
+            of the signals that jump there, shape (..., T).
 
     Raises:
         InputError: the shapes do not fit.

@@ -1,7 +1,7 @@
 """Recorder: every sample of a run, of signals, states, measurements and commands."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Batch, Case
 from sim.drive.drive import drive
 from sim.drive.driver import RunDriver
-from sim.drive.jumps import Jumps
+from sim.drive.jumps import with_decisions
 from sim.drive.loop import Block
 from sim.drive.response import Response
 
@@ -83,9 +83,7 @@ class Recorder:
         time, gone = batch.time, batch.time[:, None] >= batch.diverged
         values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
         response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))
-        if vehicle.dampers:
-            jumps = Jumps(batch.vehicles, vehicle.linear_model.outputs)(values)
-            response = replace(response, before={name: response[name] - jump for name, jump in jumps.items()})
+        response = with_decisions(response, batch.vehicles)
         if others := {k: other.T for one in self._blocks for k, other in one.others.items()}:
             response = response.with_sides(others)
         recordings = []

@@ -15,6 +15,7 @@ from models.common.arrays import Array
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
+from sim.drive.jumps import with_decisions
 from sim.drive.response import Response
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
 from synth.controller.controller import AnyController
@@ -108,14 +109,15 @@ class Prediction:
             from sim.linear.stepped import forced, stepped
 
             runs = stepped([controller], [road]) if controller.linear is True else forced(self.requested_force, road)
-            return runs.single, runs.single, runs.finer.run(0)
+            response = with_decisions(runs.single, [self.vehicle])
+            return response, response, runs.finer.run(0)
         if linear:
             respond = partial(sampled_response, controller, road)
         else:
             from sim.linear.forced_response import forced_response
 
             respond = partial(forced_response, self.requested_force, road)
-        return respond(), respond(exponential=taylor4), None
+        return with_decisions(respond(), [self.vehicle]), respond(exponential=taylor4), None
 
     @property
     def _nothing(self) -> Response:

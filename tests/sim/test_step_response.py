@@ -20,6 +20,7 @@ from sim.studies.ride.between_samples import DEGREE, Pieces, exact
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics
 from synth.vehicle.designer import Designer
 from tests.models.test_python_laws import GAIN, vehicle_of
+from tests.models.test_semi_active_dampers import DAMPER
 from tests.support.commands import attacks, prose
 from tests.support.shared import ran
 
@@ -315,3 +316,56 @@ def test_tables_have_the_peak_at_a_vertical_edge(start):
     sides = np.stack([down.physics["unsprung_acceleration"], down.physics.before["unsprung_acceleration"]])
     at = int(np.abs(np.diff(sides, axis=0)).argmax())
     assert sorted(sides[:, at]) == pytest.approx([-falls, 0.0], rel=1e-9, abs=1e-9)
+
+
+def decided(vehicle, system_of, steps, height, time):
+    """Accelerations of body and wheel just behind a vertical edge at 0 s, and on both sides of every tenth of a step, (K, 2).
+
+    Args:
+        system_of: function of a state; returns the A of the next `steps` steps, whose last state is the force, and that force.
+    """
+    model, h, found = vehicle.linear_model, time[1] / 10, []
+    rows = [model.states.index(name) for name in ("sprung_velocity", "unsprung_velocity")]
+    x, edge = np.zeros(4), model.Bw[:, 0] * height
+    for k in range(0, len(time) - 1, steps):
+        A, force = system_of(x)
+        x, edge = x + edge, np.zeros(4)
+        matrix, state = linalg.expm(A * h), np.append(x, force)
+        for _ in range(10 * min(steps, len(time) - 1 - k)):
+            found.append(A[rows] @ state)
+            state = matrix @ state
+            found.append(A[rows] @ state)
+        x = state[:4]
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("law", "steps"), [("I", 10), ("I", 4), ("sky", 5), ("sky", 1)])
+def test_tables_have_the_peak_at_a_decision(law, steps):
+    """Where force or coefficient is held, both sides of a decision count, and cubics end there: both tables have one peak.
+
+    It is that of the continuous signal, by matrix exponentials from decision to decision.
+    """
+    hold = f"\n[implementation]\nsample_period = {steps * STEP}\n" if steps > 1 else ""
+    text = read_vehicle("quarter_car").text.replace("[performance]", "[performance]\nunsprung_acceleration = 1.0")
+    damped = text.replace("[controllers", '[controllers.sky]\nsemi_active = "skyhook"\n[controllers', 1) + DAMPER
+    vehicle = parse_vehicle((damped if law == "sky" else text) + hold, source="wheel")
+    model, c = vehicle.linear_model, vehicle.parameters["suspension_damping"]
+    driver, time = vehicle.driver(law, Designer(vehicle).design), sample_times(vehicle, 0.2, STEP)
+
+    def system_of(x):
+        states = dict(zip(model.states, x, strict=True))
+        body, stretching = states["sprung_velocity"], states["sprung_velocity"] - states["unsprung_velocity"]
+        A, force = np.zeros((5, 5)), 0.0
+        A[:4] = np.hstack([model.A, model.B])
+        if law == "I":
+            force = float((driver.law.D @ [states[name] for name in driver.measured])[0])
+        else:  # the damper's force beside that of the constant one
+            A[:4, :4] += model.B @ [[0.0, 0.0, c - (c_max := 4000.0 if body * stretching > 0 else 300.0), c_max - c]]
+        return A, force
+
+    [run] = run_controllers(vehicle, [driver], Step(0.01, edge=0.0), time)
+    metrics = measure_step(run)
+    peaks = np.abs(decided(vehicle, system_of, steps, 0.01, time)).max(axis=0)
+    for name, peak in zip(("sprung_acceleration", "unsprung_acceleration"), peaks, strict=True):
+        found = [run.physics.peak(name), abs(metrics[name].mujoco.peak)]
+        assert found == pytest.approx([peak] * 2, rel=1e-3), name

@@ -3,6 +3,7 @@
 A piece is one timestep, or a part of one while wheels are on an edge of a few steps or less. A linear response is exact at any
 time, so that each piece has as many points as a polynomial takes: one of degree 8 follows a mode of 1 rad a step to 1e-11.
 Samples alone, as MuJoCo's, are joined by cubics through the four nearest; a held force is constant from one sample to the next.
+No polynomial goes over a vertical edge of the road or a decision (`sim.drive.jumps`): it ends at the value on its own side.
 """
 
 import itertools
@@ -16,7 +17,7 @@ from scipy.interpolate import barycentric_interpolate
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput, delays, jumps_under_wheels
-from sim.drive.response import Response
+from sim.drive.response import SAME_VALUE, Response
 from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.runs.run import Run
@@ -231,35 +232,36 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
 
 
 def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
-    """Returns signals of a response that is known at its samples: cubics between vertical edges, and forces as they are held."""
+    """Returns signals of a response that is known at its samples: cubics between its jumps, and forces as they are held."""
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
+    held -= {one.force for one in run.vehicle.parts.adjustable}  # a held coefficient makes no constant force
     edges, pieces = road.vertical_edges(), dict[str, Pieces]()
+    early = [k for k, edge in edges.items() if not edge.behind]  # `before` has their values behind the edge
     for name in signals:
-        values, other, parts = response[name], response.before.get(name, response[name]), list[Array]()
-        for a, b in itertools.pairwise(sorted({0, *edges, len(time) - 1})):
-            part = values[a : b + 1].copy()
-            part[0] = other[a] if a in edges and not edges[a].behind else part[0]
-            part[-1] = other[b] if b in edges and edges[b].behind else part[-1]
+        right, left, parts = response[name].copy(), response.before.get(name, response[name]).copy(), list[Array]()
+        right[early], left[early] = left[early], right[early]
+        jumps = np.flatnonzero(np.abs(right - left) > SAME_VALUE * response.peak(name)).tolist()
+        for a, b in itertools.pairwise(sorted({0, *edges, *jumps, len(time) - 1})):
+            part = np.append(right[a:b], left[b])
             parts.append(np.repeat(part[:-1, None], 2, axis=1) if name in held else _cubics(part))
         pieces[name] = Pieces(time[:-1], np.full(len(time) - 1, h), np.concatenate(parts))
     return pieces
 
 
 def _cubics(values: Array) -> Array:
-    """Returns the four points of each step's cubic, which goes through the four samples next to it, shape (T - 1, 4)."""
+    """Returns four points of each step's cubic, which goes through the four samples next to it, or fewer, shape (T - 1, 4)."""
     count = len(values)
-    if count < 4:
-        return np.linspace(values[:-1], values[1:], 4, axis=1)
-    first = np.clip(np.arange(count - 1) - 1, 0, count - 4)
+    near = min(count, 4)
+    first = np.clip(np.arange(count - 1) - 1, 0, count - near)
     offset = np.arange(count - 1) - first
-    grid = np.arange(4.0)
+    grid = np.arange(float(near))
     coefficients = np.empty((count - 1, 4))
-    for where in range(3):  # which of the three gaps between four samples the step is
+    for where in range(near - 1):  # which of the gaps between these samples the step is
         rows = np.flatnonzero(offset == where)
-        x = where + grid / 3
+        x = where + np.arange(4.0) / 3
         lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])
-        coefficients[rows] = values[first[rows, None] + np.arange(4)] @ lagrange
+        coefficients[rows] = values[first[rows, None] + np.arange(near)] @ lagrange
     return coefficients
 
 

@@ -1,0 +1,138 @@
+"""Parts of a campaign: each is one job of a cluster's queue. Machines need a shared folder, but no locks, and no order of jobs.
+
+The folder `parts` in the campaign's folder has the plan, made by the first part that starts, and a folder for each part, such as
+`3-of-40`, with its own copy of the plan. `--merge` makes the folder of a whole campaign from them.
+"""
+
+import itertools
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from models.common.errors import InputError
+from sim.campaign.manifest import NAME, PARTS, RESULTS, Manifest, read_manifest
+
+MOST_PARTS = 100_000
+FOLDER = re.compile(r"([1-9]\d*)-of-([1-9]\d*)")
+AGAIN = "remove this folder, and run its part again"
+
+
+@dataclass(frozen=True, order=True)
+class CampaignPart:
+    """A part of a campaign.
+
+    Attributes:
+        of: number of parts.
+        number: number of the part, from 1 on.
+    """
+
+    of: int
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    def folder(self, campaign: Path) -> Path:
+        """Returns the folder of the part in the folder of its campaign."""
+        return campaign / PARTS / f"{self.number}-of-{self.of}"
+
+
+def part_of(text: str) -> CampaignPart:
+    """Returns the part that the option `--part` names.
+
+    Raises:
+        InputError: the text is not K/N.
+    """
+    found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", text)
+    number, of = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= number <= of <= MOST_PARTS:
+        allowed = f"give K/N, with K from 1 to N and N up to {MOST_PARTS}, as in 3/40"
+        raise InputError(f"--part {text}: this is not a part of a campaign; {allowed}")
+    return CampaignPart(of, number)
+
+
+def there(folder: Path) -> list[CampaignPart]:
+    """Returns the parts that have a folder in the folder of their campaign, in order.
+
+    Raises:
+        InputError: parts overlap, because the campaign was cut into different numbers of parts.
+    """
+    names = [match for path in (folder / PARTS).glob("*-of-*") if (match := FOLDER.fullmatch(path.name))]
+    parts = sorted(CampaignPart(int(name[2]), int(name[1])) for name in names if int(name[1]) <= int(name[2]))
+    check_overlap(folder, parts)
+    return parts
+
+
+def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
+    """Checks that all parts are of one number of parts.
+
+    Raises:
+        InputError: two parts overlap.
+    """
+    if parts and parts[0].of != parts[-1].of:
+        raise InputError(
+            f"{folder / PARTS}: the parts {parts[0]} and {parts[-1]} of this campaign overlap; use one number of parts, or give "
+            "another folder with --results"
+        )
+
+
+def unfinished(folder: Path, of: int) -> list[int]:
+    """Returns the numbers of the parts that have no results yet."""
+    return [number for number in range(1, of + 1) if not (CampaignPart(of, number).folder(folder) / RESULTS).exists()]
+
+
+def parts_text(numbers: Sequence[int], of: int) -> str:
+    """Returns parts in words, such as "parts 4, 7-9 of 40"."""
+    runs = [[number for _, number in some] for _, some in itertools.groupby(enumerate(numbers), lambda one: one[1] - one[0])]
+    said = ", ".join(f"{run[0]}-{run[-1]}" if run[1:] else str(run[0]) for run in runs)
+    return f"part{'s' * (len(numbers) > 1)} {said} of {of}"
+
+
+def begin(folder: Path, part: CampaignPart, plan: Manifest) -> None:
+    """Writes the plan of the campaign into the folder of a part that begins.
+
+    Raises:
+        InputError: the folder has other files, or the file cannot be written.
+    """
+    own = part.folder(folder)
+    if read_manifest(own, AGAIN) is None:
+        replace(plan, part=str(part)).write(own)
+
+
+def check(folder: Path, part: CampaignPart, plan: Manifest, digest: str, versions: Mapping[str, str]) -> None:
+    """Checks that the folder of a part is of this campaign, with its gains.
+
+    Raises:
+        InputError: the folder has another part, or a part of another campaign, with other gains or of other versions.
+    """
+    own = part.folder(folder)
+    manifest = read_manifest(own, AGAIN)
+    if manifest is None or manifest.part != str(part):
+        raise InputError(f"{own} does not contain part {part}, but {'nothing' if manifest is None else manifest.part}; {AGAIN}")
+    manifest.check(own, digest, versions, AGAIN)
+    if manifest.controllers != plan.controllers:
+        raise InputError(f"part {part} was simulated with other gains than those in {folder / PARTS / NAME}; {AGAIN}")
+
+
+def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:
+    """Checks that all parts are there, and finished.
+
+    Raises:
+        InputError: there are no parts, or some are missing or unfinished.
+    """
+    if not parts:
+        raise InputError(f"--merge: {folder} contains no parts of a campaign; run them with --part, as in --part 1/40")
+    of = parts[0].of
+    if left := unfinished(folder, of):
+        begun = {part.number for part in parts}
+        kinds = {"missing": [one for one in left if one not in begun], "not finished": [one for one in left if one in begun]}
+        found = [f"{parts_text(some, of)} {'is' if len(some) == 1 else 'are'} {kind}" for kind, some in kinds.items() if some]
+        raise InputError(f"{folder}: {' and '.join(found)}; run these parts with --part, and merge again")
+
+
+def remove(folder: Path) -> None:
+    """Removes the parts of a campaign that is merged."""
+    for path in (folder / PARTS, *folder.glob(f".{PARTS}.*")):
+        shutil.rmtree(path, ignore_errors=True)
