@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_picture(envelope_figure(cells), options.picture)
     result = envelope_object(cells) | ({"loads": list(options.loads)} if options.loads else {}) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
-    logs = recorded(options, given, [controller.name], nearest, result)
+    logs = recorded(options, given, [controller.name], nearest, lambda: result)
     stage.end()
     if options.json:
         print_json({**result, "logs": logs})

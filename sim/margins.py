@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     undelayed = replace(as_built, implementation=Implementation())
     delayed = functools.partial(_delayed_runs, undelayed, controller, found.loops[""], options.timestep)
     of_file = replace(given, implementation=Implementation())
-    logs = recorded(options, of_file, [controller.name], delayed, result)
+    logs = recorded(options, of_file, [controller.name], delayed, lambda: result)
     stage.end()
     if options.json:
         print_json({**result, **written(outputs), "logs": logs})

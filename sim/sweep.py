@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         **{key: getattr(options, key) for key in ("amplitude", "timestep", "speed")},
         **left_out_object(names, driven),
     }
-    logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
+    logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), lambda: result)
     stage.end()
     if options.json:
         print_json({**result, **written(outputs), "logs": logs})

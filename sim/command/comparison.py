@@ -115,7 +115,7 @@ def recorded(
     vehicle: Vehicle,
     controllers: Sequence[str],
     runs: Callable[[], Mapping[str, Run]],
-    result: Mapping[str, Any],
+    result: Callable[[], Mapping[str, Any]],
     measured: Response | None = None,
 ) -> dict[str, str | None]:
     """Records the runs of a command by `record_runs`; returns None for every file without a folder.
@@ -124,7 +124,7 @@ def recorded(
         options: options from the command's parser, `--logs` among them.
         controllers: names of those that were run.
         runs: function that returns the runs to record, by their names in the log; called only if logs are written.
-        result: result for `--json`.
+        result: function that returns the result for `--json`; called only if logs are written.
         measured: measured signals over the time of the runs, if any.
     """
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
@@ -132,7 +132,7 @@ def recorded(
         return nothing
     from sim.recording.run_records import record_runs
 
-    return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result, measured)}
+    return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result(), measured)}
 
 
 def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "MeasuredLog | None":

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -150,14 +150,17 @@ def drive(
             step, response = {"step": {"band": options.band, "runs": objects}}, step_response.describe(shown, steps, options.band)
     unstable = [run.controller.name for run in shown if run.prediction.radius > 1]
     end = float(time[-1 if samples[1] is None else samples[1] - 1])
-    results = [_result(options, each, (start, None if samples[1] is None else end)) for each in driven]
-    result = {**results[0], "runs": [run for one in results for run in one["runs"]], **beside}
-    if left := sorted({name for one in results for name in one.get("left_out", ())}):
-        result["left_out"] = left
     logs, aligned = [], None if measured is None else measured.response
-    for each, one in zip(driven, results, strict=True):
+
+    @cache
+    def result(title: str) -> dict[str, Any]:
+        each = next(one for one in driven if one.title == title)
+        return _result(options, each, (start, None if samples[1] is None else end))
+
+    for each in driven:
         controllers = list(dict.fromkeys(run.controller.name for run in each.runs))
-        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, one | beside, aligned))
+        of_log = partial(lambda title: result(title) | beside, each.title)
+        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, of_log, aligned))
     outputs = comparison.write_histories(options, shown, where(road), aligned)
     standings = [
         one
@@ -165,9 +168,13 @@ def drive(
         for one in comparison.standings_of(each.runs, each.passive, samples, each.metrics, each.without, each.title)
     ]
     if options.json:
+        results = [result(each.title) for each in driven]
+        whole = {**results[0], "runs": [run for one in results for run in one["runs"]], **beside}
+        if left := sorted({name for one in results for name in one.get("left_out", ())}):
+            whole["left_out"] = left
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
         last = {"compared": standings_object(standings), "unstable": unstable, **written(outputs), "logs": paths}
-        print_json(result | step | last)
+        print_json(whole | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
