@@ -24,9 +24,8 @@ from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
-from synth.design.multi_objective.search import Told
 from synth.design.multi_objective.two_step_starts import with_individual_optima
-from synth.design.problem import DesignProblem
+from synth.design.problem import DesignProblem, Progress
 from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
@@ -168,7 +167,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
 
 
 def goals_design(
-    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Told
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Progress
 ) -> Controller:
     """The controller of a section with goals.
 

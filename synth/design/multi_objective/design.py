@@ -11,7 +11,8 @@ from models.common.checks import check_shape
 from models.common.errors import InputError
 from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
-from synth.design.multi_objective.search import MinimaxSearch, Told
+from synth.design.multi_objective.search import MinimaxSearch
+from synth.design.problem import Progress, quiet
 from synth.design.uncertainty.worst_case import stable_with_errors
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import numerics, up_to_rounding
@@ -56,10 +57,6 @@ class MultiObjectiveDesign:
         return tuple(members)
 
 
-def no_progress(goal: float, within: bool) -> None:
-    """Ignores what a search has reached."""
-
-
 def no_more() -> Iterable[Array]:
     """Returns no further starts."""
     return ()
@@ -69,7 +66,7 @@ def no_more() -> Iterable[Array]:
 def multi_objective_design(
     problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    on_progress: Told = no_progress,
+    on_progress: Progress = quiet,
     otherwise: Callable[[], Iterable[Array]] = no_more,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
@@ -109,7 +106,7 @@ def multi_objective_design(
 
 
 @numerics()
-def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = no_progress) -> float:
+def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
     """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
 
     The gain is found by descent from the design's, whose rounds are counted: it need not be the best.

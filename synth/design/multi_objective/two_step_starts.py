@@ -10,8 +10,7 @@ from models.common.printed import percent
 from models.laws.linear import static_law
 from synth.design.multi_objective.design import MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.problem import MultiObjectiveProblem
-from synth.design.multi_objective.search import Told
-from synth.design.problem import DesignProblem, DesignResult, Progress
+from synth.design.problem import DesignProblem, DesignResult, Progress, quiet
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import Plant, on_all_rows
 from synth.plant.numerics import DesignError
@@ -32,7 +31,7 @@ def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProble
     return replace(asked, bests=tuple(bests))
 
 
-def run_search(asked: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
+def run_search(asked: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
     """Runs the search, started from two-step designs of some members and from its own starts."""
     return multi_objective_design(asked, two_step_gains(asked), on_progress)
 
