@@ -8,7 +8,7 @@ METHODS = {
     "refinement": "synth.design.fallback:refinement",
     "structured": "synth.design.fixed_order.fixed_order:structured",
     "riccati": "synth.design.full_order.full_order:riccati",
-    "goals": "synth.design.multi_objective.two_step_starts:for_goals",
+    "goals": "synth.design.multi_objective.design:for_goals",
     "sampled": "synth.design.sampled_data:sampled",
     "mu": "synth.design.uncertainty.robust_design:mu",
     "lqr": "synth.design.full_order.quadratic:quadratic",

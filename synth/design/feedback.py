@@ -277,8 +277,8 @@ def _for_goals(
     problem: DesignProblem, plant: Plant, rms: Array, section: Mapping[str, Any], family: Sequence[Plant]
 ) -> DesignResult:
     """Designs a gain for goals, of the plant and of a family."""
+    from synth.design.multi_objective.design import with_individual_optima
     from synth.design.multi_objective.plant_goals import goals_of_plants
-    from synth.design.multi_objective.two_step_starts import with_individual_optima
 
     for each in family:
         check_inputs(each)

@@ -19,12 +19,11 @@ from synth.analysis.specification import Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.methods import design as design_for
-from synth.design.multi_objective.design import improved_goal
+from synth.design.multi_objective.design import improved_goal, with_individual_optima
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
-from synth.design.multi_objective.two_step_starts import with_individual_optima
 from synth.design.problem import DesignProblem, Progress
 from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
