@@ -83,6 +83,9 @@ MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or
 ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
 
 
+Designed = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
+
+
 class Held(NamedTuple):
     """A law, the exact norm of its sampled loop, and remarks."""
 
@@ -91,10 +94,15 @@ class Held(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
+def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
+    """Returns the exact norm of a gain or a law [D, C; B, A]; infinite if its loop is not stable."""
+    return sampled_norm(held.loop(K), near).value
+
+
 def by_levels(
     held: SampledDataProblem,
     level: float,
-    method: Callable[[Plant, float, LinearLaw | None], tuple[LinearLaw, tuple[str, ...]]],
+    method: Callable[[Plant, float, LinearLaw | None], Designed],
     ended: Callable[[float, float, float], bool],
     best: Held | None = None,
     levels: int = LEVELS,
@@ -120,24 +128,22 @@ def by_levels(
     for _ in range(levels):
         if work is not None and work.over:
             break
-        norm, plant = np.inf, held.at(level)
+        found, plant, before = None, held.at(level), best.norm if best else np.inf
         if plant is not None:
             try:
                 law, remarks = method(plant, level, best.law if best else None)
-                norm = sampled_norm(held.loop(law_gain(law)), level).value
+                found = Held(law, norm_of(held, law_gain(law), level), remarks)
             except InfeasibleError:
                 raise
             except (InputError, np.linalg.LinAlgError) as error:
                 failure = error
-        if not np.isfinite(norm):
+        if found is None or not np.isfinite(found.norm):
             level *= higher
             continue
-        before = best.norm if best else np.inf
-        if norm < before:
-            best = Held(law, norm, remarks)
-        if ended(norm, level, before):
+        best = found if best is None or found.norm < before else best
+        if ended(found.norm, level, before):
             return best, True
-        level = norm
+        level = found.norm
     if best is None:
         raise failure if isinstance(failure, InputError) else DesignError(str(failure))
     return best, False
@@ -187,7 +193,7 @@ def _result(problem: DesignProblem, found: Held, bound: SampledBound | None, **m
     return DesignResult(found.law, certificate, value=found.norm, criterion=SAMPLED_NORM, sampled_lower_bound=level, **more)
 
 
-def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> tuple[LinearLaw, tuple[str, ...]]:
+def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> Designed:
     """Returns the law and the remarks of the design for the plant of a level, as for any discrete plant."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
@@ -203,7 +209,7 @@ def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound 
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> tuple[LinearLaw, tuple[str, ...]]:
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
         as_run = partial(_as_run, image=mapped(plant), period=held.period)
         return _designed(problem, held, plant, lower_bound=LowerBound(least / level), as_run=as_run)
 
@@ -222,15 +228,9 @@ def _structured(problem: DesignProblem, held: SampledDataProblem, bound: Sampled
     """Returns a law of a given order or structure by descent, with a remark."""
     goal, work = bound.level if bound is not None else 0.0, problem.work or bounded_work(held.plant)
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> tuple[LinearLaw, tuple[str, ...]]:
-        return _designed(
-            problem,
-            held,
-            plant,
-            lower_bound=None,
-            known=[law] if law is not None and problem.structure and not problem.structure.kind else [],
-            work=work,
-        )
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
+        known = [law] if law is not None and problem.structure and not problem.structure.kind else []
+        return _designed(problem, held, plant, lower_bound=None, known=known, work=work)
 
     best, _ = by_levels(held, NEAR * (goal or near), method, _falls_no_more, work=work)
     return best, "; ".join([_above(best, goal), *best.remarks])
@@ -311,11 +311,6 @@ def _static(problem: DesignProblem) -> DesignResult:
     return _result(problem, found, bound, method=method, why=why, remarks=remarks, **more)
 
 
-def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
-    """The exact norm of a gain, shape (m, q); infinite where its loop is not stable."""
-    return sampled_norm(held.loop(K), near).value
-
-
 End = tuple[Array, float]  # a gain, shape (m, q), and the norm of its sampled loop
 
 
@@ -327,7 +322,7 @@ def lowest(ends: Sequence[End]) -> End:
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
     """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> tuple[LinearLaw, tuple[str, ...]]:
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
         return static_law(lowered(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
 
     found, _ = by_levels(held, norm, method, _falls_no_more, Held(static_law(K), norm), DESCENTS, 1.0)
