@@ -16,7 +16,7 @@ from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
 from synth.design.methods import design
 from synth.design.problem import DesignProblem, DesignResult
-from synth.design.sampled_data import WITHIN, norm_of, refined_further, two_steps
+from synth.design.sampled_data import WITHIN, by_levels, norm_of, refined_further, two_steps
 from synth.design.two_step import l_matrix, nullspace, r_matrix, state_path
 from synth.lmi.sampled_bound import find_sampled_bound
 from synth.lmi.sdp import solve_lmi
@@ -435,3 +435,27 @@ def test_the_law_of_a_section_reads_the_sensors_as_they_are():
     near = designer.lower_bound(entry.measured).gamma
     bound = find_sampled_bound(problem, near)
     np.testing.assert_array_equal(found.D, held(problem, near, order="full", sampled_bound=bound).law.D)
+
+
+def test_one_search_over_levels(paper):
+    """A method gets the plant of a level, then that of the norm it reached; a level without a law is raised; the best stays."""
+    problem = SampledDataProblem(Designer(paper).plant.measured(ROWS["II"]), (HoldInterval(0.01, 0),))
+    gains, levels = iter([None, -4000.0, -9000.0, -6000.0]), list[float]()
+    norms = {k: norm_of(problem, np.array([[k]]), 8.0) for k in (-4000.0, -9000.0, -6000.0)}
+
+    def method(plant, level, law):
+        levels.append(level)
+        gain = next(gains)
+        if gain is None:
+            raise DesignError("nothing at this level")
+        np.testing.assert_array_equal(plant.Bw, problem.at(level).Bw)
+        return static_law([[gain]]), (f"{gain:g}",)
+
+    best, ended = by_levels(problem, 7.0, method, lambda norm, level, before: False, higher=1.2)
+    assert levels == pytest.approx([7.0, 8.4, norms[-4000.0], norms[-9000.0]], rel=1e-7)
+    lowest = min(norms, key=norms.__getitem__)
+    assert (best.law.D, best.remarks, ended) == ([[lowest]], (f"{lowest:g}",), False)
+    assert best.norm == pytest.approx(norms[lowest], rel=1e-7)
+    gains = iter([None] * 4)
+    with pytest.raises(DesignError, match="nothing at this level"):
+        by_levels(problem, 7.0, method, lambda norm, level, before: True)
