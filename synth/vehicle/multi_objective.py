@@ -187,10 +187,11 @@ def goals_design(
     if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.narrow for bound in goals.bounds):
         said.append(
             f"the norm has no bound outside the band of the goal, and is {digits(certificate.norm.value)}; to limit it, give "
-            "bounds = [{{ norm = ... }}]"
+            "bounds = [{ norm = ... }]"
         )
     if goals.structure is not None and not np.all(problem.structure):
-        full = replace(problem, structure=np.ones_like(problem.structure))
+        assert asked.goals is not None, "goals"
+        full = replace(asked.goals, structure=np.ones_like(problem.structure))
         goal = improved_goal(full, design.details, on_progress)  # which descends from the design for a limited number of rounds
         said.append(
             f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
