@@ -352,15 +352,14 @@ def searched(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
     """Returns an end, or that of the search of static gains for the plant of one level, where another valley is worth it.
 
     Args:
-        end: its norm is infinite for a gain that does not stabilise the loop.
+        end: gain and norm; the norm is infinite for a gain that does not stabilise the loop.
         far: a level far above the norm, which has a plant: its norm is nearly proportional to that of the loop.
         work: counts the norms.
     """
-    (K, norm), level = end, far
-    plant = held.at(norm) if np.isfinite(norm) else None
-    if plant is not None:
-        level = norm
-    plant = plant or held.at(far)
+    K, norm = end
+    plant, level = held.at(norm) if np.isfinite(norm) else None, norm
+    if plant is None:
+        plant, level = held.at(far), far
     assert plant is not None, "the level has a plant"
     search = GainSearch(plant, LARGEST_GAIN, 0.0, work=work)
     candidates = search.starts()
