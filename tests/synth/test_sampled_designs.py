@@ -448,8 +448,10 @@ def test_one_search_over_levels(paper):
         gain = next(gains)
         if gain is None:
             raise DesignError("nothing at this level")
-        np.testing.assert_array_equal(plant.Bw, problem.at(level).Bw)
-        return static_law([[gain]]), (f"{gain:g}",)
+        own = problem.at(level)
+        assert own is not None
+        np.testing.assert_array_equal(plant.Bw, own.Bw)
+        return static_law(np.array([[gain]])), (f"{gain:g}",)
 
     best, ended = by_levels(problem, 7.0, method, lambda norm, level, before: False, higher=1.2)
     assert levels == pytest.approx([7.0, 8.4, norms[-4000.0], norms[-9000.0]], rel=1e-7)
