@@ -8,10 +8,9 @@ METHODS = {
     "refinement": "synth.design.fallback:refinement",
     "structured": "synth.design.fixed_order.fixed_order:structured",
     "riccati": "synth.design.full_order.full_order:riccati",
-    "goals": "synth.design.multi_objective.two_step_starts:for_goals",
+    "goals": "synth.design.multi_objective.design:for_goals",
     "sampled": "synth.design.sampled_data:sampled",
-    "sampled_full": "synth.design.full_order.sampled_data:sampled_full",
-    "sampled_structured": "synth.design.fixed_order.sampled_data:sampled_structured",
+    "mu": "synth.design.uncertainty.robust_design:mu",
     "lqr": "synth.design.full_order.quadratic:quadratic",
     "lqg": "synth.design.full_order.quadratic:quadratic",
     "h2": "synth.design.full_order.quadratic:quadratic",
@@ -20,8 +19,5 @@ METHODS = {
 PREVIEW = "preview"  # of the state and of the road ahead
 OF_STATE = ("lqr", PREVIEW)  # of the full state, without sensors
 # Methods that other keys of a section lead to; `design = "NAME"` names one of the others.
-BY_OTHER_KEYS = (
-    *("two_steps", "state", "zero_l", "descent", "refinement", "structured", "riccati", "goals"),
-    *("sampled", "sampled_full", "sampled_structured"),
-)
+BY_OTHER_KEYS = ("two_steps", "state", "zero_l", "descent", "refinement", "structured", "riccati", "goals", "sampled", "mu")
 DESIGNS = tuple(name for name in METHODS if name not in BY_OTHER_KEYS)

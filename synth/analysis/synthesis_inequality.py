@@ -5,10 +5,10 @@ elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw
 plant, in S.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. The columns of F span these directions (`costless_reachable_subspace`). No dual solution can weight them,
+not observable in z. The columns of F span these directions (`_closure`). No dual solution can weight them,
 so N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the
-transposed plant (B = C_y', D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (the
-`costless_reachable_subspace` of the transposed plant).
+transposed plant (B = C_y', D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`_closure`
+of the transposed plant).
 
 Along stable states that are unobservable in z, X grows without cost, too.
 
@@ -144,12 +144,6 @@ def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Ar
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)
     return product(other.J, one.J.T) * denominator // np.multiply.outer(rows, columns), denominator
-
-
-def costless_reachable_subspace(plant: Plant) -> Array:
-    """Returns F, the states that inputs control without cost in z: independent columns of integers, shape (n, f)."""
-    n, (system, _) = len(plant.A), integers(plant.system_matrix)
-    return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
 
 
 def _closure(states: Array, inputs: Array) -> Array:

@@ -7,7 +7,6 @@ noise leave a solution far above the lower bound, the descent continues from it.
 """
 
 import contextlib
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -45,8 +44,7 @@ BOTH = f"{TWO_STEPS} and {DESCENT}"
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
-BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
-MOST_DOUBLINGS = 100  # of a gain from zero
+MOST_GROWTH = 2.0**100  # of a gain from zero
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
@@ -154,7 +152,8 @@ def _refined(
     that ends far above the lower bound others are searched, too.
     """
     from synth.analysis.bounding import certify_law
-    from synth.design.descent.refine import WORTH, refine
+    from synth.design.descent.growth import price
+    from synth.design.descent.refine import refine
     from synth.design.static import descended
 
     q = len(plant.Cy)
@@ -173,8 +172,8 @@ def _refined(
             grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
             certificate = certify_law(few, static_law(gain), below)
             fast = certificate.beyond_actuators and not (name == EQUATION or design.certificate.beyond_actuators)
-            price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
-            lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
+            worth = price(min(max(grown / growth, 1.0), MOST_GROWTH))
+            lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, worth))
             if lower and not certificate.failures and grown * size <= largest_gain:
                 found = with_redundant_rows(DesignResult(static_law(gain), certificate, case=design.case), kept, q, 0.0)
                 if fast:

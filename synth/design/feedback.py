@@ -20,7 +20,7 @@ from models.laws.combinations import FULL, PATTERNS, STATIC, check_together, is_
 from models.laws.design_methods import DESIGNS, PREVIEW
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, StructureSection
-from models.laws.linear import MOST_STATES
+from models.laws.linear import MOST_STATES, LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, hold_intervals
@@ -258,7 +258,7 @@ def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[Hol
     if reasons := stabilisability_failures(plant, problem.states):
         raise InfeasibleError("; ".join(reasons))
     held = SampledDataProblem(plant, pieces, rms if np.any(rms) else None)
-    known, near, work = list[Array](), 1.0, bounded_work(plant)
+    known, near, work = list[LinearLaw](), 1.0, bounded_work(plant)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         if problem.order == FULL:
             from synth.lmi.full_order_bound import find_lower_bound
@@ -267,8 +267,8 @@ def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[Hol
         else:
             static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, thorough=False)
             ideal = designed(replace(static, work=work))
-            known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
-    result = designed(replace(problem, sampled=held, ideal=known, near=near, work=work))
+            known, near = [ideal.law], ideal.certificate.norm.value or 1.0
+    result = designed(replace(problem, sampled=held, known=known, near=near, work=work))
     texts = *result.remarks, "the certificate is that of the ideal loop, without sampling and delay"
     return replace(result, why=result.why or 'order = "full"', remarks=texts)
 
@@ -277,8 +277,8 @@ def _for_goals(
     problem: DesignProblem, plant: Plant, rms: Array, section: Mapping[str, Any], family: Sequence[Plant]
 ) -> DesignResult:
     """Designs a gain for goals, of the plant and of a family."""
+    from synth.design.multi_objective.design import with_individual_optima
     from synth.design.multi_objective.plant_goals import goals_of_plants
-    from synth.design.multi_objective.two_step_starts import with_individual_optima
 
     for each in family:
         check_inputs(each)

@@ -38,8 +38,11 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Returns the methods for a problem: those to try until one succeeds, and those that then continue from its result."""
     if problem.method:
         return (problem.method,), ()
+    if problem.errors is not None:
+        tries, further = choose(replace(problem, errors=None))
+        return tries, (*further, "mu")
     if problem.sampled is not None:
-        return ("sampled_full" if problem.order == FULL else "sampled_structured" if problem.structure else "sampled",), ()
+        return ("sampled",), ()
     if problem.structure is not None:
         return ("structured",), ()
     if problem.goals is not None:

@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from synth.analysis.sampled_loop import SampledDataProblem
     from synth.design.descent.landscape import Work
     from synth.design.multi_objective.problem import MultiObjectiveProblem
+    from synth.design.uncertainty.structured_loop import StructuredPlant
     from synth.lmi.central_path import CentralPoint
 
 
 SEEN = 1e-6  # relative: what a table of seven digits shows
 LARGEST_GAIN = 1e5  # of |K_ij| where a search has no bound of its own
-NORM, SAMPLED_NORM, H2_NORM = "norm", "sampled norm", "H2 norm"  # criteria
+NORM, SAMPLED_NORM, H2_NORM, MU = "norm", "sampled norm", "H2 norm", "robust performance"  # criteria
 TWO_STEPS, DESCENT = "the two steps", "descent on the norm"  # methods, in words
 FEW = 4  # states; of more the matrices of a law are not shown
 Progress = Callable[[float, bool], None]
@@ -85,9 +86,10 @@ class DesignProblem:
         preview: time for which w is known ahead [s].
         sampled: the loop that a computer closes, without noise on the plant's w; None for the ideal loop.
         sampled_bound: lower bound of that loop, if it is known.
-        ideal: static gains of the ideal loop, from which a design for the sampled loop starts.
+        known: laws that a search starts from; static gains of the ideal loop for a gain of the sampled loop.
         near: a level near the norm of the sampled loop.
         goals: goals of a static gain; None for the norm alone.
+        errors: the plant with errors weighted by frequency, for a law of the least robust performance; None without errors.
         thorough: True to go on from two steps that end above the lower bound, and to use another design where Riccati equations
             fail. A vehicle file has the two steps as they are.
         lower_bound: lower bound for any controller from these measurements, if known.
@@ -112,9 +114,10 @@ class DesignProblem:
     preview: float = 0.0
     sampled: "SampledDataProblem | None" = None
     sampled_bound: SampledBound | None = None
-    ideal: Sequence[Array] = ()
+    known: Sequence[LinearLaw] = ()
     near: float = 1.0
     goals: "MultiObjectiveProblem | None" = None
+    errors: "StructuredPlant | None" = None
     thorough: bool = True
     lower_bound: LowerBound | None = None
     states: Sequence[str] = ()

@@ -1,10 +1,16 @@
-"""The two steps for the sampled-data loop, followed by descent on its exact norm.
+"""Designs for the loop that a computer closes: by the methods of ideal loops, for the discrete plant of a level.
 
-For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). A step reaches the level for
-whose plant its optimum is a norm of 1, found by secants over the logarithms in a few problems. State feedback (22) has one such
-level, and the X of its optimum makes L (14). The second step (25) has another. Every optimum is the limit of a central path, and
-so is the gain: it is unique, and depends on no solver and no unit. Its norm is then computed exactly, without any of this
-(`synth/analysis/sampled_norm.py`).
+For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`), with the forces on their way
+among its states, and the noise of the readings among its disturbances. So a law for it knows the delay, the hold and the motion
+between samples. `by_levels` searches the level: it has a method find a law at one, computes the exact norm of its loop
+(`synth/analysis/sampled_norm.py`), and goes on at that norm.
+
+- Full order: Riccati equations, first at the lowest level at which they have a solution, which is bracketed without a search.
+- A given order or structure: descent, first at a level near the lower bound, then from the law found before.
+- A static gain: the two steps, followed by descent. A step reaches the level for whose plant its optimum is a norm of 1, found by
+  secants over the logarithms in a few problems. State feedback (22) has one such level, and the X of its optimum makes L (14).
+  The second step (25) has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on
+  no solver and no unit.
 
 Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
 without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
@@ -21,32 +27,46 @@ either side of no control. If it ends more than 1 % above a lower bound, or find
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import digits, percent
+from models.laws.law_structure import FULL
 from models.laws.linear import LinearLaw, static_law
-from synth.analysis.lower_bound import SampledBound
+from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, lowered, refine
+from synth.design.full_order.full_order import discrete_law
+from synth.design.full_order.riccati import RiccatiSearch
+from synth.design.methods import design
 from synth.design.problem import LARGEST_GAIN, SAMPLED_NORM, DesignProblem, DesignResult, Progress
 from synth.design.static import GainSearch, bounded_work
 from synth.design.two_step import NO_GAIN, NO_SECOND_STEP, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.plant.generalized import Plant, on_all_rows
-from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError, numerics
+from synth.plant.discrete import mapped
+from synth.plant.generalized import Plant, law_gain, on_all_rows
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
 from synth.plant.units import own_units
 
-DESCENTS = 8
-WORTH = 1e-4  # relative; a descent that gains less is the last, for what each leaves is the square of that
+DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
+WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
+WORTH = 1e-4  # relative; a level at which a law gains less is the last, for what each leaves is the square of that
+LEVELS, STABLE_LEVELS, DESCENTS = 4, 2, 8  # at most; a law that is to be stable by itself takes a descent at each
+NEAR = 1.1  # times the lower bound: the first level of a descent, where the norm of its plant is above one and says where to go
+HIGHER = {False: 1.01, True: 1.1}  # times a level without a law is the next, by whether it is to be stable by itself
+LOWEST, BRACKETED = 40, 1e-4  # steps at most, and how closely, relative, the lowest level with a solution is bracketed
+COSTS = (1e-3, 1e-5)  # shares of noise and cost, with which that is done
+ABOVE = 1e-4  # relative; how far above a bound within a period the first level is
+
 KEPT = 5e-5  # relative; the gain of the two steps stays where descent gains less
 SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
 STARTS = 3  # the best of them
@@ -55,107 +75,6 @@ LITTLE = 1e-2  # relative; a norm this close to a lower bound is left at that
 BOUNDED = 20  # states; of more a lower bound takes minutes, and a search, too
 FURTHEST = 5  # powers of FAR times a guess of the norm: levels that are tried
 MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
-
-
-def norm_of(problem: SampledDataProblem, K: Array, near: float) -> float:
-    """The exact norm of a gain, shape (m, q); infinite where its loop is not stable."""
-    return sampled_norm(problem.loop(K), near).value
-
-
-def descended(problem: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> tuple[Array, float]:
-    """The best gain that descent finds, and its norm, infinite where no start is stable.
-
-    Args:
-        known: gains to start from, shapes (m, q); the line through the first is searched.
-        near: a guess of the norm.
-        work: counts the norms.
-    """
-    nothing = np.zeros((problem.plant.B.shape[1], len(problem.plant.Cy)))
-    line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
-    line.insert(len(line) // 2, nothing)
-    norms = [norm_of(problem, K, near) for K in line]
-    padded = [np.inf, *norms, np.inf]
-    starts = [(norms[i], K) for i, K in enumerate(line) if norms[i] <= min(padded[i], padded[i + 2])]
-    starts += [(norm_of(problem, K, near), K) for K in known[1:]]
-    best = sorted(starts, key=lambda start: start[0])[:STARTS]
-    return min(
-        (down(problem, K, norm, work) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
-    )
-
-
-def searched(problem: SampledDataProblem, level: float, known: Array | None, work: Work) -> tuple[Array, float]:
-    """The best gain that the search of static gains finds for the plant of one level, and descents from there; its norm.
-
-    Args:
-        level: level near the norm, or far above it: then the plant's norm is nearly proportional to that of the loop.
-        known: a stabilising gain, which the search starts from, too.
-        work: counts the norms.
-    """
-    plant = problem.at(level)
-    assert plant is not None
-    search = GainSearch(plant, LARGEST_GAIN, 0.0, work=work)
-    candidates = search.starts()
-    if known is not None:
-        candidates += search.admitted(search.landscape.point(known), "a known gain")
-    if not candidates:
-        return np.zeros(search.landscape.shape), np.inf
-    K = search.landscape.gain(search.best(candidates).x)
-    norm = norm_of(problem, K, level)
-    return down(problem, K, norm, work) if np.isfinite(norm) else (K, norm)
-
-
-def down(problem: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> tuple[Array, float]:
-    """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
-    for _ in range(DESCENTS):
-        plant = problem.at(norm)
-        if plant is None:
-            break
-        moved = lowered(Landscape(plant, work=work), plant, K).gain
-        reached = norm_of(problem, moved, norm)
-        if not reached < norm:
-            break
-        enough = reached > norm * (1 - WORTH)
-        K, norm = moved, reached
-        if enough:
-            break
-    return K, norm
-
-
-def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refinement:
-    """Lowers the exact norm from a stabilising gain on all measurements, shape (m, q), as far as it is worth a larger gain.
-
-    Raises:
-        DesignError: the loop of K is not stable, or a force answers at no level near its norm.
-    """
-    before = norm_of(problem, K, near)
-    plant = problem.at(before) if np.isfinite(before) else None
-    if plant is None:
-        raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
-    rows = independent_rows(plant)
-    few = problem.of(rows)
-    start = from_some(K, np.hstack([problem.plant.Cy, problem.plant.Dyu]), rows)
-    moved, after = down(few, start, before)
-    last = problem.at(after)
-    refused = refine(last, None, moved).refused if last is not None else None
-    landscape = Landscape(plant.rows(rows))
-    sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
-    gain = np.zeros_like(K)
-    gain[:, rows] = moved
-    growth = sizes[1] / sizes[0] if sizes[0] else 1.0
-    return Refinement(gain, before, after, growth, refused, "the sampled norm")
-
-
-def check_size(problem: SampledDataProblem) -> None:
-    """Raises a TooLargeError for a loop whose forces on their way are too many states."""
-    (n, m), late = problem.plant.B.shape, problem.remembered
-    if n + m * late > MOST_STATES:
-        raise TooLargeError(
-            f"a delay of {late} samples gives the loop {n + m * late} states, and sampled designs allow at most {MOST_STATES}; "
-            "omit sampled = true (a continuous design runs with any delay), or give a longer sample period or a shorter delay"
-        )
-
-
-DESCENT_SAMPLED, NO_BOUND = "descent on the sampled norm", "no lower bound is proved"
 CLOSE = 1e-9  # relative: so near to 1 a norm is it
 GROW = 1.05  # of a level, where there is no solution; the square of it the next time
 FAR = 1e3  # times where the search for a level starts
@@ -164,45 +83,93 @@ MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or
 ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
 
 
-@dataclass(frozen=True, eq=False)
-class SampledDesign:
-    """A gain or a discrete law for the loop that a computer closes.
+Designed = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
 
-    Attributes:
-        law: law from the measurements to the forces; a static one, or one in discrete time.
-        norm: the L2 gain of its loop, exact.
-        level: level of the LMI of a gain of the two steps; None for others.
-        kept: measurements that a gain uses, by index; the others follow from these.
-        instead: reason why the two steps did not lead to this gain, in words; empty if they did.
-        remark: distance from the bound, in words; empty if it is small.
-    """
+
+class Held(NamedTuple):
+    """A law, the exact norm of its sampled loop, and remarks."""
 
     law: LinearLaw
     norm: float
-    level: float | None = None
-    kept: tuple[int, ...] = ()
-    instead: str = ""
-    remark: str = ""
-
-    @property
-    def gain(self) -> Array:
-        """K of a static law, shape (m, q)."""
-        return self.law.D
-
-    def result(self, problem: DesignProblem, **more: Any) -> DesignResult:
-        """Returns the design with the certificate of its ideal loop.
-
-        Raises:
-            DesignError: the law has no counterpart in continuous time.
-        """
-        try:
-            certificate = problem.certified(self.law)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise DesignError(f"the law designed for the sampled loop cannot be converted to continuous time: {error}") from error
-        return DesignResult(self.law, certificate, value=self.norm, criterion=SAMPLED_NORM, **more)
+    remarks: tuple[str, ...] = ()
 
 
-def bound_of(problem: DesignProblem, near: float) -> SampledBound | None:
+def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
+    """Returns the exact norm of a gain or a law [D, C; B, A]; infinite if its loop is not stable."""
+    return sampled_norm(held.loop(K), near).value
+
+
+def by_levels(
+    held: SampledDataProblem,
+    level: float,
+    method: Callable[[Plant, float, LinearLaw | None], Designed],
+    ended: Callable[[float, float, float], bool],
+    best: Held | None = None,
+    levels: int = LEVELS,
+    higher: float = NEAR,
+    work: Work | None = None,
+) -> tuple[Held, bool]:
+    """Returns the law of the lowest sampled norm that a method finds at one level after another, and whether it has ended.
+
+    Args:
+        level: the first level; each further one is the norm that is reached at the one before.
+        method: returns a law for the plant of a level, and remarks, from the best law so far.
+        ended: returns True for the norm, the level and the lowest norm before, where a further level gains nothing.
+        best: a known law.
+        levels: largest number of levels.
+        higher: factor to the next level where no law is found.
+        work: counts norms; where it is over no level begins.
+
+    Raises:
+        InfeasibleError: no law stabilises the plant.
+        InputError: no law was found.
+    """
+    failure: Exception = DesignError("no law with a stable sampled loop was found")
+    for _ in range(levels):
+        if work is not None and work.over:
+            break
+        found, plant, before = None, held.at(level), best.norm if best else np.inf
+        if plant is not None:
+            try:
+                law, remarks = method(plant, level, best.law if best else None)
+                found = Held(law, norm_of(held, law_gain(law), level), remarks)
+            except InfeasibleError:
+                raise
+            except (InputError, np.linalg.LinAlgError) as error:
+                failure = error
+        if found is None or not np.isfinite(found.norm):
+            level *= higher
+            continue
+        best = found if best is None or found.norm < before else best
+        if ended(found.norm, level, before):
+            return best, True
+        level = found.norm
+    if best is None:
+        raise failure if isinstance(failure, InputError) else DesignError(str(failure))
+    return best, False
+
+
+def _falls_no_more(norm: float, level: float, before: float) -> bool:
+    """Returns True if a norm is next to the lowest before."""
+    return norm > before * (1 - WORTH)
+
+
+def sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a gain or a law for the loop that a computer closes."""
+    assert problem.sampled is not None, "a sampled loop"
+    if problem.structure is None and problem.order != FULL:
+        return _static(problem)
+    near, full = problem.near, problem.structure is None
+    if full and problem.thorough:
+        near = lowest_level(problem.sampled, near, 0.0)[0]
+    bound = _bound(problem, near)
+    found, remark = (_full if full else _structured)(problem, problem.sampled, bound, near)
+    method = "Riccati equations for the sampled loop" if full else DESCENT_SAMPLED
+    why = f"for {problem.structure.text}" if problem.structure is not None else ""
+    return _result(problem, found, bound, method=method, why=why, remarks=(remark,) if remark else ())
+
+
+def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
     """Returns the lower bound of the sampled loop of a problem; None if none is proved."""
     if not problem.thorough:
         return problem.sampled_bound
@@ -212,65 +179,224 @@ def bound_of(problem: DesignProblem, near: float) -> SampledBound | None:
     return find_sampled_bound(problem.sampled, near)
 
 
-def sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
-    """Designs a static gain for the loop that a computer closes."""
-    assert problem.sampled is not None, "a sampled loop"
-    found, remarks, level = held_design(problem.sampled, problem.near, problem.ideal, problem.work), (), None
-    if problem.thorough:
-        bound = bound_of(problem, problem.near)
-        level = None if bound is None else bound.level
-        remarks = (f"norm {percent(found.norm / level - 1)} above the lower bound of the sampled loop" if level else NO_BOUND,)
-    if found.instead:
-        method, why = DESCENT_SAMPLED, f"the two-step method was not used: {found.instead}"
-    else:
-        method, why = "the two steps for the sampled loop", "the two-step method finds a gain of this sampled norm"
-    return replace(
-        found.result(problem, method=method, why=why, remarks=remarks, sampled_lower_bound=level),
-        level=found.level,
-        instead=found.instead,
-        redundant=tuple(i for i in range(len(problem.sampled.plant.Cy)) if i not in found.kept),
+def _result(problem: DesignProblem, found: Held, bound: SampledBound | None, **more: Any) -> DesignResult:
+    """Returns the result of a law with the certificate of its ideal loop.
+
+    Raises:
+        DesignError: the law has no counterpart in continuous time.
+    """
+    try:
+        certificate = problem.certified(found.law)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignError(f"the law designed for the sampled loop cannot be converted to continuous time: {error}") from error
+    level = None if bound is None else bound.level
+    return DesignResult(found.law, certificate, value=found.norm, criterion=SAMPLED_NORM, sampled_lower_bound=level, **more)
+
+
+def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> Designed:
+    """Returns the law and the remarks of the design for the plant of a level, as for any discrete plant."""
+    m, states = held.plant.B.shape[1], problem.states
+    if states:
+        states = *states, *(f"force_{k + 1}_of_{held.remembered}_before" for k in range(held.remembered) for _ in range(m))
+    found = design(
+        replace(problem, plant=plant, sampled=None, states=states, thorough=False, certify=None, fastest_pole=None, **more)
     )
+    return found.law, found.remarks
 
 
-@numerics()
-def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None) -> SampledDesign:
-    """Runs the two steps, or the first alone if all states are measured.
+def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[Held, str]:
+    """Returns a law of full order within 0.1 % of the lower bound, or the nearest that was found, with a remark."""
+    goal = bound.level if bound is not None else 0.0
+    least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
-    Args:
-        near: level to start from, for example the norm of the continuous design.
-        known: gains from the same measurements, shapes (m, q), for example the continuous design's; the result is not worse.
-        work: counts the norms of the search; `bounded_work` if it is not given.
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
+        as_run = partial(_as_run, image=mapped(plant), period=held.period)
+        return _designed(problem, held, plant, lower_bound=LowerBound(least / level), as_run=as_run)
+
+    def ended(norm: float, level: float, before: float) -> bool:
+        return min(norm, before) <= least * (1 + WITHIN) or norm <= level * (1 + WORTH)
+
+    levels = STABLE_LEVELS if problem.stable else LEVELS
+    best, over = by_levels(held, first, method, ended, levels=levels, higher=HIGHER[problem.stable])
+    if goal and best.norm <= goal * (1 + WITHIN):
+        return best, ""
+    stopped = "" if over else f"; the search stopped after {levels} levels"
+    return best, f"{_above(best, goal)}: no law that was tried comes closer{stopped}"
+
+
+def _structured(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[Held, str]:
+    """Returns a law of a given order or structure by descent, with a remark."""
+    goal, work = bound.level if bound is not None else 0.0, problem.work or bounded_work(held.plant)
+
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
+        known = [law] if law is not None and problem.structure and not problem.structure.kind else []
+        return _designed(problem, held, plant, lower_bound=None, known=known, work=work)
+
+    best, _ = by_levels(held, NEAR * (goal or near), method, _falls_no_more, work=work)
+    return best, "; ".join([_above(best, goal), *best.remarks])
+
+
+def _above(found: Held, goal: float) -> str:
+    """Returns the distance of a law's norm from a lower bound, in words."""
+    return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
+
+
+def _as_run(law: LinearLaw, image: tuple[Plant, Array], period: float) -> LinearLaw:
+    """Returns the discrete law of one for the mapped plant."""
+    return discrete_law(law, *image, period) if law.sample_period is None else law
+
+
+def lowest_level(held: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
+    """Returns a level at which no law was found, or one known to be too low, and the next above it at which there is a law."""
+    low, high, level = below, np.inf, start
+    for _ in range(LOWEST):
+        if _solvable(held.at(level)):
+            high = level
+        else:
+            low = level
+        if high <= low * (1 + BRACKETED):
+            break
+        level = 2 * low if high == np.inf else (low * high) ** 0.5 if low else high / 2
+    return (low, high) if high < np.inf else (below, start)
+
+
+def _solvable(plant: Plant | None) -> bool:
+    """Returns True if a central law of a level's plant has a norm below one."""
+    if plant is not None:
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            search = RiccatiSearch(mapped(plant)[0], 0.0)
+            return any(search.traded(share, search.own.norm) is not None for share in COSTS)
+    return False
+
+
+def _static(problem: DesignProblem) -> DesignResult:
+    """Designs a static gain by the two steps, or the first alone if all states are measured, and by descent.
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
         TooLargeError: too many forces are delayed at the same time.
         DesignError: no gain was found; the message lists what was tried.
     """
-    check_size(problem)
-    far, slow = near, None
-    for _ in range(FURTHEST):
-        far *= FAR
-        if (slow := problem.at(far)) is not None:
-            break
+    held = problem.sampled
+    assert held is not None, "a sampled loop"
+    (n, m), late = held.plant.B.shape, held.remembered
+    if n + m * late > MOST_STATES:
+        raise TooLargeError(
+            f"a delay of {late} samples gives the loop {n + m * late} states, and sampled designs allow at most {MOST_STATES}; "
+            "omit sampled = true (a continuous design runs with any delay), or give a longer sample period or a shorter delay"
+        )
+    levels = [problem.near * FAR ** (k + 1) for k in range(FURTHEST)]
+    far, slow = next(((each, plant) for each in levels if (plant := held.at(each)) is not None), (levels[-1], None))
     if slow is None:
-        within = f"within {1000.0 * problem.period:g} ms without a new force the gain from w is above {far:g}"
+        within = f"within {1000.0 * held.period:g} ms without a new force the gain from w is above {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
-    rows = independent_rows(slow)
-    few = problem.of(rows)
-    of_kept = [from_some(K, np.hstack([problem.plant.Cy, problem.plant.Dyu]), rows) for K in known]
+    rows, given = independent_rows(slow), np.hstack([held.plant.Cy, held.plant.Dyu])
+    known, work = [from_some(law.D, given, rows) for law in problem.known], problem.work or bounded_work(held.plant)
     try:
-        K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
+        K, norm, level, instead = _gain(held.of(rows), problem.near, known, far, work)
     except DesignError as error:
         slow = slow.rows(rows)
         if reasons := "; ".join(stabilisability_failures(slow) or static_feedback_obstructions(slow)):
             raise InfeasibleError(reasons) from error
         raise
-    gain = on_all_rows(K, rows, len(problem.plant.Cy))
-    return SampledDesign(static_law(gain), norm, level, tuple(rows), instead)
+    found, bound, remarks = Held(static_law(on_all_rows(K, rows, len(given))), norm), None, ()
+    if problem.thorough:
+        bound = _bound(problem, problem.near)
+        remarks = (f"norm {_above(found, bound.level)}" if bound is not None else NO_BOUND,)
+    method, why = "the two steps for the sampled loop", "the two-step method finds a gain of this sampled norm"
+    if instead:
+        method, why = DESCENT_SAMPLED, f"the two-step method was not used: {instead}"
+    redundant = tuple(i for i in range(len(given)) if i not in rows)
+    more = {"level": level, "instead": instead, "redundant": redundant}
+    return _result(problem, found, bound, method=method, why=why, remarks=remarks, **more)
+
+
+End = tuple[Array, float]  # a gain, shape (m, q), and the norm of its sampled loop
+
+
+def lowest(ends: Sequence[End]) -> End:
+    """Returns the first of the ends with the lowest norm."""
+    return min(ends, key=lambda end: end[1])
+
+
+def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
+    """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
+
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
+        return static_law(lowered(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
+
+    found, _ = by_levels(held, norm, method, _falls_no_more, Held(static_law(K), norm), DESCENTS, 1.0)
+    return found.law.D, found.norm
+
+
+def descended(held: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> End:
+    """The best gain that descent finds, and its norm, infinite where no start is stable.
+
+    Args:
+        known: gains to start from, shapes (m, q); the line through the first is searched.
+        near: a guess of the norm.
+        work: counts the norms.
+    """
+    nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
+    line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
+    line.insert(len(line) // 2, nothing)
+    norms = [norm_of(held, K, near) for K in line]
+    padded = [np.inf, *norms, np.inf]
+    starts = [(K, norms[i]) for i, K in enumerate(line) if norms[i] <= min(padded[i], padded[i + 2])]
+    starts += [(K, norm_of(held, K, near)) for K in known[1:]]
+    best = sorted(starts, key=lambda start: start[1])[:STARTS]
+    return lowest([*(down(held, *start, work) for start in best if np.isfinite(start[1])), (nothing, np.inf)])
+
+
+def searched(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
+    """Returns an end, or that of the search of static gains for the plant of one level, where another valley is worth it.
+
+    Args:
+        end: gain and norm; the norm is infinite for a gain that does not stabilise the loop.
+        far: a level far above the norm, which has a plant: its norm is nearly proportional to that of the loop.
+        work: counts the norms.
+    """
+    K, norm = end
+    plant, level = held.at(norm) if np.isfinite(norm) else None, norm
+    if plant is None:
+        plant, level = held.at(far), far
+    assert plant is not None, "the level has a plant"
+    search = GainSearch(plant, LARGEST_GAIN, 0.0, work=work)
+    candidates = search.starts()
+    if np.isfinite(norm):
+        candidates += search.admitted(search.landscape.point(K), "a known gain")
+    if not candidates:
+        return end
+    other = search.landscape.gain(search.best(candidates).x)
+    reached = norm_of(held, other, level)
+    other, reached = down(held, other, reached, work) if np.isfinite(reached) else (other, reached)
+    return (other, reached) if reached < norm * (1 - WORTH_ANOTHER) else end
+
+
+def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refinement:
+    """Lowers the exact norm from a stabilising gain on all measurements, shape (m, q), as far as it is worth a larger gain.
+
+    Raises:
+        DesignError: the loop of K is not stable, or a force answers at no level near its norm.
+    """
+    before = norm_of(held, K, near)
+    plant = held.at(before) if np.isfinite(before) else None
+    if plant is None:
+        raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
+    rows = independent_rows(plant)
+    few = held.of(rows)
+    start = from_some(K, np.hstack([held.plant.Cy, held.plant.Dyu]), rows)
+    moved, after = down(few, start, before)
+    last = few.at(after)
+    refused = refine(last, None, moved).refused if last is not None else None
+    landscape = Landscape(plant.rows(rows))
+    sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
+    growth = sizes[1] / sizes[0] if sizes[0] else 1.0
+    return Refinement(on_all_rows(moved, rows, len(plant.Cy)), before, after, growth, refused, "the sampled norm")
 
 
 def _gain(
-    problem: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
+    held: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
 ) -> tuple[Array, float, float | None, str]:
     """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not.
 
@@ -279,72 +405,60 @@ def _gain(
         work: counts the norms of the search.
     """
     undelayed = failure = K = level = None
-    norm, quiet = np.inf, replace(problem, rms=None)
-    if problem.remembered:
+    norm, quiet = np.inf, replace(held, rms=None)
+    if held.remembered:
         with contextlib.suppress(DesignError):
             undelayed, _ = two_steps(quiet.at_once, near, None)
     try:
         K, level = two_steps(quiet, near, undelayed)
-        norm = norm_of(problem, K, near)
+        norm = norm_of(held, K, near)
     except DesignError as error:
         failure = error
-    nothing = np.zeros((problem.plant.B.shape[1], len(problem.plant.Cy)))
+    nothing = np.zeros((held.plant.B.shape[1], len(held.plant.Cy)))
     others = {"the continuous design": known, "no control": [nothing]}
-    least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
+    least, which = min((norm_of(held, other, near), name) for name, some in others.items() for other in some)
     if K is not None and np.isfinite(norm):
-        moved, reached = K, norm
+        end = K, norm
         for start in (K, *known):
-            height = norm_of(problem, start, near)
-            if np.isfinite(height) and not _at_the_limit(problem, reached):
-                moved, reached = min((moved, reached), down(problem, start, height, work), key=lambda end: end[1])
-        if least < reached:
-            moved, reached = min((moved, reached), descended(problem, [*known, K], near, work), key=lambda end: end[1])
-        if _may_fall(problem, reached):
-            moved, reached = _lower(problem, moved, reached, far, work)
-        quietly = not problem.noise.size
-        if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
-            return K, norm, level, ""
-        further = f"{which} reaches {digits(least)}" if least < norm else f"descent from there reaches {digits(reached)}"
-        why = f"the two-step method reaches {digits(norm)}, and {further}" if quietly else "the two-step method ignores noise"
+            height = norm_of(held, start, near)
+            if np.isfinite(height) and not _at_the_limit(held, end[1]):
+                end = lowest([end, down(held, start, height, work)])
+        if least < end[1]:
+            end = lowest([end, descended(held, [*known, K], near, work)])
     else:
-        if K is not None:
-            failure = DesignError("rounding leaves no stable loop with the gain that was found")
-        moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near, work)
-        if _may_fall(problem, reached):
-            moved, reached = _lower(problem, moved, reached, far, work)
-        if not np.isfinite(reached):
-            tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
-            raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
+        failure = failure or DesignError("rounding leaves no stable loop with the gain that was found")
+        end = descended(held, [start for start in (*known, undelayed, K) if start is not None], near, work)
+    moved, reached = searched(held, end, far, work) if _may_fall(held, end[1]) else end
+    if failure is None:
+        assert K is not None, "without a failure it is found"
+        if held.noise.size:
+            why = "the two-step method ignores noise"
+        elif norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
+            return K, norm, level, ""
+        else:
+            further = f"{which} reaches {digits(least)}" if least < norm else f"descent from there reaches {digits(reached)}"
+            why = f"the two-step method reaches {digits(norm)}, and {further}"
+    elif np.isfinite(reached):
         why = NO_SECOND_STEP if isinstance(failure, NoSolutionError) else str(failure)
+    else:
+        tried = f"descent on the sampled norm, but no start was stable; the two-step method: {failure}"
+        raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
     why += f"; {work.text}" if work.over else ""
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
-    return moved, norm_of(problem, moved, near), None, why
+    return moved, norm_of(held, moved, near), None, why
 
 
-def _at_the_limit(problem: SampledDataProblem, norm: float) -> bool:
+def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
     """Returns True if a norm is next to what no control force changes."""
-    plant = problem.at(norm * (1 - KEPT))
+    plant = held.at(norm * (1 - KEPT))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
 
-def _lower(problem: SampledDataProblem, K: Array, norm: float, far: float, work: Work) -> tuple[Array, float]:
-    """A gain and its norm, or those of a search where they are lower by so much that another valley is worth it.
-
-    Args:
-        norm: infinite for a gain that does not stabilise the loop.
-        far: a level far above the norm, which has a plant.
-    """
-    stable = bool(np.isfinite(norm))
-    level = norm if stable and problem.at(norm) is not None else far
-    end = searched(problem, level, K if stable else None, work)
-    return end if end[1] < norm * (1 - WORTH_ANOTHER) else (K, norm)
-
-
-def _may_fall(problem: SampledDataProblem, norm: float) -> bool:
+def _may_fall(held: SampledDataProblem, norm: float) -> bool:
     """Returns True if no lower bound is known that a norm is within 1 % of, and the loop is of few states."""
-    if len(problem.rows[0]) > BOUNDED:
+    if len(held.rows[0]) > BOUNDED:
         return False
-    plant = problem.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
+    plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
     if plant is None:
         return bool(np.isinf(norm))
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
@@ -352,54 +466,45 @@ def _may_fall(problem: SampledDataProblem, norm: float) -> bool:
     return True
 
 
-def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
+def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
     """Returns K by the two steps, which know no noise, and its level.
 
     Args:
-        problem: problem without noise, with independent measurements.
+        held: problem without noise, with independent measurements.
         near: a level to start from.
         undelayed: a gain without delay, shape (m, q): L (14) is also chosen so that delayed forces follow it.
 
     Raises:
         DesignError: a step has no solution, or a path could not be followed.
     """
-    rows, (n, m) = problem.rows, problem.plant.B.shape
-    size = n + m * problem.remembered
+    rows, (n, m) = held.rows, held.plant.B.shape
+    size = n + m * held.remembered
     fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two-step method for sampled loops")
-    level, path = _level(problem, state_path, near)
+    level, path = _level(held, state_path, near)
     if len(rows) == size:
         return np.linalg.solve(rows.T, path[-1].K.T).T, level
-    tries = _Tries(problem, level)
-    tries.add(_follows(path[-1].X, rows))
-    if undelayed is not None:
-        _, of_state = _level(problem.at_once, state_path, level)
-        both = np.vstack([_follows(of_state[-1].X, problem.plant.Cy), *[undelayed] * problem.remembered])
-        tries.add(both @ np.linalg.inv(rows @ both))
-    for start in reversed(path[:-1]):
-        if not tries.found:
-            tries.add(_follows(start.X, rows))
-    for reached, point in sorted(tries.found, key=lambda pair: pair[0]):
-        if norm_of(problem, point.K, near) <= reached * (1 + ROUNDING):
-            return point.K, reached
-        tries.failures.insert(0, DesignError(f"rounding leaves no loop that keeps the level {digits(reached)}"))
-    raise tries.failures[0]
+    ends, failures = list[tuple[float, CentralPoint]](), list[DesignError]()
 
-
-class _Tries:
-    """Second steps with one R after another: what they reach, and why those that reach nothing do not."""
-
-    def __init__(self, problem: SampledDataProblem, level: float) -> None:
-        self.problem, self.level = problem, level
-        self.found = list[tuple[float, CentralPoint]]()
-        self.failures = list[DesignError]()
-
-    def add(self, R: Array) -> None:
-        """Adds the level that the second step reaches with an R, or the failure."""
+    def second_step(R: Array) -> None:
         try:
-            level, (point,) = _level(self.problem, lambda plant: [_second(plant, R)], self.level)
-            self.found.append((level, point))
+            reached, (point,) = _level(held, lambda plant: [_second(plant, R)], level)
+            ends.append((reached, point))
         except DesignError as error:
-            self.failures.append(error)
+            failures.append(error)
+
+    second_step(_follows(path[-1].X, rows))
+    if undelayed is not None:
+        _, of_state = _level(held.at_once, state_path, level)
+        both = np.vstack([_follows(of_state[-1].X, held.plant.Cy), *[undelayed] * held.remembered])
+        second_step(both @ np.linalg.inv(rows @ both))
+    for start in reversed(path[:-1]):
+        if not ends:
+            second_step(_follows(start.X, rows))
+    for reached, point in sorted(ends, key=lambda pair: pair[0]):
+        if norm_of(held, point.K, near) <= reached * (1 + ROUNDING):
+            return point.K, reached
+        failures.insert(0, DesignError(f"rounding leaves no loop that keeps the level {digits(reached)}"))
+    raise failures[0]
 
 
 def _follows(X: Array, rows: Array) -> Array:

@@ -1,7 +1,6 @@
 """Coordinates and units in which the numbers of a plant, or of several, have size one."""
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -218,46 +217,3 @@ def nearest_power(size: float) -> float:
 def size(matrix: Array) -> float:
     """Returns the 2-norm of a matrix, or 1 if the matrix is zero."""
     return float(np.linalg.svd(matrix, compute_uv=False).max(initial=0.0)) or 1.0
-
-
-class NormalisedSystem:
-    """Plants in the coordinates of [Q R], in units in which all numbers of the first have size one, and time in 1 / rate.
-
-    Args:
-        plants: plants in continuous time, alike in states and inputs.
-        rate: the unit of time is one over it [rad/s].
-        Q: shape (n, n - q).
-        R: shape (n, q); [Q R] is regular.
-        blocks: mask of ones and zeros, shape (q, q): zeros of R mark columns that no unit may mix.
-
-    Attributes:
-        plants: plants in these units.
-        T: transformation of the states to the given units, shape (n, n).
-        measured: unit of y = C_y x, to which R's columns belong, shape (q, q).
-        rate: rate as given.
-        force: unit of all inputs.
-        disturbance: unit of w.
-        gain: reciprocal of the unit of z over w.
-    """
-
-    def __init__(self, plants: Sequence[Plant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
-        a, T = Q.shape[1], np.hstack([Q, R])
-        scale = reachable(plants[0].in_coordinates(T), a)
-        self.measured = scale[a:, a:] = np.linalg.cholesky(scale[a:, a:] @ scale[a:, a:].T * blocks)
-        self.T, self.rate = T @ scale, rate
-        turned = [plant.in_coordinates(self.T) for plant in plants]
-        output = 1 / size(turned[0].C)
-        self.force, self.disturbance = rate / size(turned[0].B), rate / size(turned[0].Bw)
-        self.gain = self.disturbance * output
-        self.plants = [
-            Plant(
-                A=plant.A / rate,
-                B=plant.B * self.force / rate,
-                Bw=plant.Bw * self.disturbance / rate,
-                C=plant.C * output,
-                D=plant.D * output * self.force,
-                Dw=plant.Dw * self.gain,
-                Cy=plant.Cy,
-            )
-            for plant in turned
-        ]

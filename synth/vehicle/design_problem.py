@@ -18,7 +18,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
-from synth.design.problem import H2_NORM, DesignProblem, DesignResult
+from synth.design.problem import H2_NORM, MU, DesignProblem, DesignResult
 from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
@@ -64,6 +64,13 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
         near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
         return replace(problem, sampled=held_problem(vehicle, entry), near=near, states=states, certify=certify)
+    if entry.errors is not None:
+        from synth.vehicle.weighted_errors import is_robust_design, structured_plant
+
+        if is_robust_design(entry):
+            ideal = certify_ideal_loop(posed, lower_bound)
+            errors, as_run = structured_plant(vehicle, entry, entry.errors), problem.as_run
+            return replace(problem, errors=errors, certify=lambda law: ideal(as_run(law)))
     if request.design == PREVIEW:
         from synth.design.full_order.quadratic import state_rows
 
@@ -129,7 +136,7 @@ def controller_of(
             degeneracy="; ".join(filter(None, (result.case, beside))),
             fallback_method=result.instead,
         )
-    if problem.structure is not None:
+    if problem.structure is not None and result.criterion != MU:
         remarks = *([result.remark] if remarks else []), f"designed by descent on the norm from {result.origin}"
     if result.criterion == H2_NORM:
         remarks = _of_mean_square(problem, result), *remarks

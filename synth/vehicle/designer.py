@@ -203,16 +203,7 @@ class Designer:
 
                 return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
             problem = self.design_problem(entry, posed, lower_bound, "zero_l" if zero_l else "")
-            controller = controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
-            if entry.errors is None:
-                return controller
-            from synth.vehicle.weighted_errors import is_robust_design, robust_controller
-
-            return (
-                robust_controller(self.vehicle, entry, controller, problem, on_progress)
-                if is_robust_design(entry)
-                else controller
-            )
+            return controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
@@ -234,7 +225,7 @@ class Designer:
             ideal = self.design_problem(continuous, posed, lower_bound)
             with contextlib.suppress(DesignError):
                 law = controller_of(self.vehicle, continuous, posed, ideal, design_for(ideal)).law
-                problem = replace(problem, ideal=(law.D,))
+                problem = replace(problem, known=(law,))
             return problem
         if method == "zero_l":
             return replace(problem, plant=posed.plant, method=method)
@@ -305,10 +296,8 @@ class Designer:
         except DesignError:
             start = None
         posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
-        if entry.request.sampled:
-            from synth.vehicle.sampled_data import sampled_refinement
-
-            return sampled_refinement(self.vehicle, entry, posed, start or self.design(name), lower_bound)
+        if entry.request.sampled and start is None:
+            self.design(name)  # raises the reason
         return refined(self.vehicle, entry, posed, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:

@@ -19,14 +19,12 @@ from synth.analysis.specification import Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.methods import design as design_for
-from synth.design.multi_objective.design import improved_goal
+from synth.design.multi_objective.design import improved_goal, with_individual_optima
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
-from synth.design.multi_objective.search import Told
-from synth.design.multi_objective.two_step_starts import with_individual_optima
-from synth.design.problem import DesignProblem
+from synth.design.problem import DesignProblem, Progress
 from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
@@ -168,7 +166,7 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
 
 
 def goals_design(
-    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Told
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Progress
 ) -> Controller:
     """The controller of a section with goals.
 
@@ -189,10 +187,11 @@ def goals_design(
     if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.narrow for bound in goals.bounds):
         said.append(
             f"the norm has no bound outside the band of the goal, and is {digits(certificate.norm.value)}; to limit it, give "
-            "bounds = [{{ norm = ... }}]"
+            "bounds = [{ norm = ... }]"
         )
     if goals.structure is not None and not np.all(problem.structure):
-        full = replace(problem, structure=np.ones_like(problem.structure))
+        assert asked.goals is not None, "goals"
+        full = replace(asked.goals, structure=np.ones_like(problem.structure))
         goal = improved_goal(full, design.details, on_progress)  # which descends from the design for a limited number of rounds
         said.append(
             f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "

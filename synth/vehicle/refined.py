@@ -50,6 +50,16 @@ def refined(
     Raises:
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
     """
+    if entry.request.sampled and start is not None:
+        from synth.controller.implementation_norm import held_problem
+        from synth.design.sampled_data import refined_further
+        from synth.vehicle.design_problem import certify_ideal_loop
+
+        refinement = refined_further(held_problem(vehicle, entry), start.law.D, lower_bound.gamma or 1.0)
+        gain, remarks = static_law(refinement.gain), ("designed and refined for the sampled loop",)
+        certificate = certify_ideal_loop(posed, lower_bound)(gain)
+        controller = Controller.of(entry, gain, certificate, remarks=remarks, sampled=True, redundant=start.redundant)
+        return RefinedController(controller, start, "", refinement)
     rows, origin = independent_rows(posed.plant), ""
     few = posed.plant.rows(rows).without_feedthrough
     if start is None:

@@ -4,9 +4,7 @@ Both are peaks over frequency of the structured singular value mu of its loop. T
 1 / mu. With the performance, mu <= gamma says that for all errors of size 1 / gamma its norm is at most gamma.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,22 +13,15 @@ from models.common.printed import digits
 from models.kinds.linear_model import LinearModel
 from models.laws.combinations import FULL
 from models.laws.filter import Filter
-from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from models.vehicle.weighted_errors import WeightedErrors
-from synth.analysis.bounding import certify_tightly
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import FREQUENCY, ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification
 from synth.controller.controller import Controller
-from synth.controller.problem import generalized_plant, plant_states
-from synth.design.methods import design as design_for
-from synth.design.problem import DesignProblem
-from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_design
+from synth.controller.problem import generalized_plant, plant_states, problem
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
-from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
 SAMPLED = "robust stability and performance (mu) are those of the continuous loop, not of the sampled one"
@@ -64,59 +55,9 @@ def is_robust_design(entry: ControllerEntry) -> bool:
     return entry.errors is not None and free and not request.sampled
 
 
-def robust_controller(
-    vehicle: Vehicle,
-    entry: ControllerEntry,
-    nominal: Controller,
-    problem: DesignProblem,
-    on_progress: Callable[[float, bool], None] = lambda goal, within: None,
-) -> Controller:
-    """Returns a controller of an entry with a better robust performance than one that is designed for the norm alone.
-
-    A law of fewer states begins with the scales of a law of full order.
-
-    Args:
-        nominal: the controller designed for the norm; returned if no other is better.
-        problem: design problem of the nominal controller.
-        on_progress: callback that receives the robust performance so far, and True.
-    """
-    assert entry.errors is not None, "it has weights"
-    posed, structure = nominal.problem(vehicle), entry.request.structure
-    structured = structured_plant(vehicle, nominal, entry.errors)
-    kept, unbounded = posed.state_measurements, replace(problem, lower_bound=LowerBound(0.0), states=())
-
-    def designs(**kind: Any) -> Design:
-        def design(plant: Plant) -> LinearLaw:
-            scaled = replace(unbounded, plant=plant.rows(kept).without_feedthrough, **kind)
-            return problem.as_run(design_for(scaled).law)
-
-        return design
-
-    first = RobustDesign(nominal.law, structured_bound(structured.closed_by(nominal.law)).gamma)
-    best = [first]
-
-    def on_turn(found: RobustDesign) -> None:
-        if structure is None or found.law.states <= structure.order:
-            best[:] = [found]
-        on_progress(found.gamma, True)
-
-    full = robust_design(structured, designs(order=FULL, structure=None), first, on_turn)
-    if structure is not None:
-        robust_design(structured, designs(), first, on_turn, full.law)
-    if not best[0].turns:
-        return nominal
-    law = replace(best[0].law, anti_windup=entry.request.anti_windup)
-    certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
-    remark = (
-        "designed for the smallest robust performance (mu), by design and scaling of errors in turn; the law with the smallest "
-        f"norm, {digits(nominal.certificate.norm.value)}, has mu = {digits(first.gamma)}"
-    )
-    return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
-
-
-def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> StructuredPlant:
+def structured_plant(vehicle: Vehicle, controller: Controller | ControllerEntry, errors: WeightedErrors) -> StructuredPlant:
     """Returns the plant of a controller from [w; p; u] to [z; q; y], see `StructuredPlant`."""
-    posed, inputs = controller.problem(vehicle), vehicle.linear_model.inputs
+    posed, inputs = problem(vehicle, controller.measured, controller.hardware), vehicle.linear_model.inputs
     weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
     of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, posed.plant.B.shape, posed.plant.D.shape)
     systems = _systems(weights[0]), _systems(weights[1])

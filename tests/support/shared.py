@@ -136,7 +136,6 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.design.two_step.two_step_design",
     "synth.design.static.static_output_feedback",
     "synth.design.full_order.full_order.full_order_design",
-    "synth.design.sampled_data.held_design",
     "synth.design.uncertainty.fragility.fragility",
     "synth.design.descent.flatness.free_moves",
     "synth.analysis.certificate.certify",

@@ -5,6 +5,7 @@ import pytest
 
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
+from synth.design.descent.growth import WORTH, grown
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
@@ -145,3 +146,18 @@ def test_gains_that_leave_floats_are_not_stable():
     for far in (np.inf, np.nan):
         assert landscape.norm(np.array([far]))[0] == np.inf
         assert landscape.abscissa(np.array([far]))[0] == np.inf
+
+
+@pytest.mark.parametrize("worth", [2 * WORTH, WORTH / 2])
+def test_a_doubling_of_the_gain_has_its_price(worth):
+    """Where each doubling buys a share up to a gain of 8, the gain grows to 8 if that is worth it, and else not at all."""
+
+    def lower(x, value, largest):
+        size = min(largest, 8.0)
+        return np.array([size]), (1 - worth) ** np.log2(size)
+
+    x, value, refused = grown(np.array([1.0]), 1.0, lower, lambda before, after: 1 - after / before)
+    if worth > WORTH:
+        assert (x[0], value, refused) == (8.0, pytest.approx((1 - worth) ** 3), None)
+    else:
+        assert (x[0], value, refused) == (1.0, 1.0, (pytest.approx(worth), 2.0))

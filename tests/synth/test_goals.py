@@ -120,6 +120,23 @@ def test_what_a_structure_costs_at_least():
     assert of_whole["norm"] * (1 - 1e-6) <= whole <= 1.01 * of_whole["norm"]
 
 
+def test_what_a_structure_costs_in_ratios():
+    """For the largest ratio to each vehicle's best, the price of a structure is one of ratios, too."""
+    family = 'minimise = { over = "regret" }\nfamily = [{ sprung_mass = 0.8 }, { sprung_mass = 1.2 }]'
+    controller, promises = designed(f"measured = {TWO}\nstructure = [[0, 1]]\n{family}")
+    price = next(remark for remark in controller.remarks if "structure costs at least" in remark)
+    said, whole = (float(one) for one in re.findall(r"[\d.]+(?= %)|(?<=reaches )[\d.]+", price))
+    ratio = promises["largest ratio to a vehicle's own best"]
+    assert 1 <= whole < ratio
+    assert said == pytest.approx(100 * (ratio / whole - 1), rel=0.03)  # two digits
+
+
+def test_a_band_alone_says_what_bounds_the_norm():
+    """The remark on a norm without a bound has the key as it is written in a file."""
+    controller, _ = designed(f"measured = {ONE}\n{BAND}")
+    assert "bounds = [{ norm = ... }]" in " ".join(controller.remarks)
+
+
 @pytest.mark.attack
 def test_a_structure_has_its_price():
     """A half-car's gain per corner keeps its bound, is zero where it has to be, and is better than what was known.

@@ -130,4 +130,4 @@ def test_all_else_works_without_a_method(module, tmp_path):
 
 def test_methods_are_named_by_their_table():
     """At least these files are named by nothing but the table, and can be taken away."""
-    assert {name for names in alone().values() for name in names} >= {"descent", "refinement", "sampled_structured", "preview"}
+    assert {name for names in alone().values() for name in names} >= {"descent", "refinement", "mu", "preview"}

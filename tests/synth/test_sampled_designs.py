@@ -14,8 +14,9 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
-from synth.design.full_order.sampled_data import WITHIN, sampled_full_order
-from synth.design.sampled_data import held_design, norm_of, refined_further, two_steps
+from synth.design.methods import design
+from synth.design.problem import DesignProblem, DesignResult
+from synth.design.sampled_data import WITHIN, by_levels, norm_of, refined_further, two_steps
 from synth.design.two_step import l_matrix, nullspace, r_matrix, state_path
 from synth.lmi.sampled_bound import find_sampled_bound
 from synth.lmi.sdp import solve_lmi
@@ -26,6 +27,13 @@ from tests.support.commands import attacks, main_of
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
 EYE = np.eye(4)
+
+
+def held(problem: SampledDataProblem, near: float, **more) -> DesignResult:
+    """The design for a sampled loop: a static gain, or what is asked for."""
+    return design(DesignProblem(problem.plant, sampled=problem, near=near, thorough=False, **more))
+
+
 ROWS = {"state": EYE, "I": EYE[[0, 2]], "II": EYE[[2]]}
 
 
@@ -100,9 +108,9 @@ def test_the_loop_as_built_is_that_designed_for(name, delay, more, controllers):
         # The plant of the level that is the norm closes to a norm of one: what is remembered stands where it is read.
         assert hinf_norm(plant.closed_loop(controller.law.D @ problem.rows)).value == pytest.approx(1, rel=1e-6)
         assert norm_as_implemented(vehicle, controller).value == pytest.approx(norm, rel=1e-7)  # a norm's levels lie that close
-        found = held_design(problem, 7.8)
-        assert norm <= found.norm * (1 + 1e-7)
-        assert found.level is None or found.norm <= found.level * (1 + 1e-7)
+        found = held(problem, 7.8)
+        assert norm <= found.value * (1 + 1e-7)
+        assert found.level is None or found.value <= found.level * (1 + 1e-7)
 
 
 @pytest.mark.attack
@@ -113,9 +121,9 @@ def test_a_filter_in_z():
     )
     vehicle = parse_vehicle(text + ASKED.format(period=0.01, delay=0))
     problem = held_problem(vehicle, Designer(vehicle)._entry("state"))
-    found = held_design(problem, 7.8)
+    found = held(problem, 7.8)
     assert found.gain.shape == (1, 4)
-    assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.norm, rel=1e-9)
+    assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.value, rel=1e-9)
 
 
 def test_what_is_printed_and_saved(tmp_path, capsys):
@@ -162,7 +170,7 @@ def test_what_no_gain_stabilises():
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(DesignError, match=r"^no static gain found; measure .*; the two-step method: .*\(25\)") as caught:
-        held_design(SampledDataProblem(plant.measured([[1.0, 0]]), (HoldInterval(0.1, 0),)), 2.0)
+        held(SampledDataProblem(plant.measured([[1.0, 0]]), (HoldInterval(0.1, 0),)), 2.0)
     assert not isinstance(caught.value, InfeasibleError)
     assert "\n" not in str(caught.value)
 
@@ -214,10 +222,10 @@ def test_never_worse_than_what_is_there(name, controller, period, delay):
 def test_descent_finds_the_valley(paper, period, delay, known):
     """For one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
     problem = SampledDataProblem(Designer(paper).plant.measured(ROWS["II"]), (HoldInterval(period, delay),))
-    found = held_design(problem, 7.8, [Designer(paper).design("II").law.D])
+    found = held(problem, 7.8, known=[Designer(paper).design("II").law])
     tried = [norm_of(problem, np.array([[sign * k]]), 8.0) for sign in (-1, 1) for k in np.geomspace(50, 1e4, 12)]
-    assert found.norm <= known
-    assert found.norm <= min(tried) * (1 + 1e-4)  # flat valleys: a descent that gains less than that is the last
+    assert found.value <= known
+    assert found.value <= min(tried) * (1 + 1e-4)  # flat valleys: a descent that gains less than that is the last
 
 
 @pytest.mark.attack
@@ -302,8 +310,8 @@ def test_nothing_beats_the_lower_bound(seed):
     bound = find_sampled_bound(problem, 8.0)
     assert bound is not None
     assert bound.holds
-    law = sampled_full_order(problem, bound, 8.0)
-    assert bound.level <= law.norm <= bound.level * (1 + WITHIN) or law.remark
+    law = held(problem, 8.0, order="full", sampled_bound=bound)
+    assert bound.level <= law.value <= bound.level * (1 + WITHIN) or law.remark
     gains = [np.array([[1.0, 0.3]]) * rng.standard_normal(2) * 10 ** rng.uniform(1, 4.5) for _ in range(20)]
     assert min(sampled_norm(problem.loop(K), 8.0).value for K in gains) >= bound.level
 
@@ -314,13 +322,13 @@ def test_the_bound_is_where_the_law_ends():
     problem = held_problem(vehicle := built(0.02, 2, 40, I), vehicle.controllers["mine"])
     bound = find_sampled_bound(problem, 8.0)
     assert bound is not None
-    found = sampled_full_order(problem, bound, 8.0)
-    for level in (found.norm * (1 - 1e-6), found.norm * (1 + 1e-6)):  # well beyond what a norm's own levels are apart
+    found = held(problem, 8.0, order="full", sampled_bound=bound)
+    for level in (found.value * (1 - 1e-6), found.value * (1 + 1e-6)):  # well beyond what a norm's own levels are apart
         plant = problem.at(level)
         assert plant is not None
         larger, G = plant.with_law(found.law)
-        assert (hinf_norm(larger.closed_loop(G)).value < 1) == (level > found.norm)
-    assert found.norm < 8.07702 * (1 - 0.02)  # what states buy against the best static gain
+        assert (hinf_norm(larger.closed_loop(G)).value < 1) == (level > found.value)
+    assert found.value < 8.07702 * (1 - 0.02)  # what states buy against the best static gain
 
 
 @pytest.mark.attack
@@ -338,7 +346,7 @@ def test_an_accelerometer_one_sample_late():
     problem = held_problem(vehicle, vehicle.controllers["mine"])
     # The loop that was designed for, put together elsewhere.
     assert sampled_norm(problem.loop(law_gain(controller.law)), 8.0).value == pytest.approx(norm.value, rel=PROVED)
-    assert bound.level <= held_design(problem, 8.0).norm  # of a static gain on these readings
+    assert bound.level <= held(problem, 8.0).value  # of a static gain on these readings
 
 
 @pytest.mark.attack
@@ -358,9 +366,9 @@ def test_example_of_a_manual(period, of_example):
     bound = find_sampled_bound(problem, of_example)
     assert bound is not None
     assert bound.holds
-    found = sampled_full_order(problem, bound, of_example)
-    assert bound.level <= found.norm < of_example
-    assert found.norm <= bound.level * (1 + WITHIN) or found.remark
+    found = held(problem, of_example, order="full", sampled_bound=bound)
+    assert bound.level <= found.value < of_example
+    assert found.value <= bound.level * (1 + WITHIN) or found.remark
 
 
 def test_noise_tends_to_that_of_the_continuous_loop():
@@ -426,4 +434,30 @@ def test_the_law_of_a_section_reads_the_sensors_as_they_are():
     found, problem = designer.design("own").law, held_problem(vehicle, entry)
     near = designer.lower_bound(entry.measured).gamma
     bound = find_sampled_bound(problem, near)
-    np.testing.assert_array_equal(found.D, sampled_full_order(problem, bound, near).law.D)
+    np.testing.assert_array_equal(found.D, held(problem, near, order="full", sampled_bound=bound).law.D)
+
+
+def test_one_search_over_levels(paper):
+    """A method gets the plant of a level, then that of the norm it reached; a level without a law is raised; the best stays."""
+    problem = SampledDataProblem(Designer(paper).plant.measured(ROWS["II"]), (HoldInterval(0.01, 0),))
+    gains, levels = iter([None, -4000.0, -9000.0, -6000.0]), list[float]()
+    norms = {k: norm_of(problem, np.array([[k]]), 8.0) for k in (-4000.0, -9000.0, -6000.0)}
+
+    def method(plant, level, law):
+        levels.append(level)
+        gain = next(gains)
+        if gain is None:
+            raise DesignError("nothing at this level")
+        own = problem.at(level)
+        assert own is not None
+        np.testing.assert_array_equal(plant.Bw, own.Bw)
+        return static_law(np.array([[gain]])), (f"{gain:g}",)
+
+    best, ended = by_levels(problem, 7.0, method, lambda norm, level, before: False, higher=1.2)
+    assert levels == pytest.approx([7.0, 8.4, norms[-4000.0], norms[-9000.0]], rel=1e-7)
+    lowest = min(norms, key=norms.__getitem__)
+    assert (best.law.D, best.remarks, ended) == ([[lowest]], (f"{lowest:g}",), False)
+    assert best.norm == pytest.approx(norms[lowest], rel=1e-7)
+    gains = iter([None] * 4)
+    with pytest.raises(DesignError, match="nothing at this level"):
+        by_levels(problem, 7.0, method, lambda norm, level, before: True)

@@ -1,9 +1,4 @@
-"""`--refine`: descent on the norm from a gain of the LMIs, as far as it is worth a larger gain.
-
-Minimising the norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
-of gamma, because the infimum lies at infinite gain. So the gain grows by stages, at most twofold each, and a stage in which gamma
-gains less than a thousandth while the gain grows is undone.
-"""
+"""`--refine`: descent on the norm from a gain of the LMIs, as far as it is worth a larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,14 +9,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import brief, digits, percent
 from synth.analysis.norm import hinf_norm
+from synth.design.descent.growth import WORTH, grown
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
 from synth.design.problem import SEEN
 from synth.plant.generalized import Plant, check_inputs, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
-STAGES = 20  # a growth of 2^20; nothing is worth more
 ROUNDS = 60  # of descent within a stage; it usually ends sooner
 GLANCE = 5  # rounds that tell whether there is anything to gain
 
@@ -97,22 +91,12 @@ def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
         raise DesignError("a gain that does not stabilise the plant cannot be refined; design one first")
     if before == 0:
         return Refinement(K, before, before, 1.0, None)
-    size = first = float(np.abs(x).max())
-    norm, refused = before, None
-    # First without any growth, then twofold at a time.
-    for stage in range(STAGES):
-        if landscape.work.over:
-            break
-        allowed = size if stage == 0 else 2 * size
-        moved, reached = descend_norm(landscape, x, np.full(len(x), allowed), ROUNDS)
-        growth = float(np.abs(moved).max()) / size if size else 1.0
-        bought = 1 - reached / norm
-        if growth > 1 + 1e-6 and bought < WORTH:
-            refused = (bought, growth) if bought > 1e-6 else None
-            break
-        x, norm, size = moved, reached, float(np.abs(moved).max())
-        if stage and growth <= 1 + 1e-6:
-            break
+
+    def lower(x: Array, norm: float, largest: float) -> tuple[Array, float]:
+        return (x, norm) if landscape.work.over else descend_norm(landscape, x, np.full(len(x), largest), ROUNDS)
+
+    x, norm, refused = grown(x, before, lower, lambda norm, reached: 1 - reached / norm)
+    first, size = float(np.abs(start).max()), float(np.abs(x).max())
     # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)
     own_before, own_after = _own(plant, K), _own(plant, gain)

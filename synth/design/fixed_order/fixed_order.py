@@ -125,7 +125,7 @@ def structured(problem: DesignProblem, progress: Progress) -> DesignResult:
     def on_found(law: LinearLaw) -> None:
         progress(hinf_norm(problem.plant.closed(law)).value, True)
 
-    given = problem.plant, structure, problem.lower_bound, problem.states, problem.stable, problem.as_run
+    given = problem.plant, structure, problem.lower_bound, problem.states, problem.stable, problem.as_run, problem.known
     result = fixed_order_design(*given, on_found=on_found, work=problem.work)
     return replace(result, why=f"from {result.origin}, for {structure.text}")
 

@@ -1,7 +1,8 @@
 """Entry of multi-objective design: from a problem of goals to a gain, or to the reason why no gain meets them."""
 
+import contextlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,12 +10,16 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
+from models.common.printed import percent
+from models.laws.linear import static_law
 from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
-from synth.design.multi_objective.search import MinimaxSearch, Told
+from synth.design.multi_objective.search import MinimaxSearch
+from synth.design.problem import DesignProblem, DesignResult, Progress, quiet
+from synth.design.two_step import two_step_design
 from synth.design.uncertainty.worst_case import stable_with_errors
-from synth.plant.generalized import Feedback
-from synth.plant.numerics import numerics, up_to_rounding
+from synth.plant.generalized import Feedback, on_all_rows
+from synth.plant.numerics import DesignError, numerics, up_to_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,21 +61,12 @@ class MultiObjectiveDesign:
         return tuple(members)
 
 
-def no_progress(goal: float, within: bool) -> None:
-    """Ignores what a search has reached."""
-
-
-def no_more() -> Iterable[Array]:
-    """Returns no further starts."""
-    return ()
-
-
 @numerics()
 def multi_objective_design(
     problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    on_progress: Told = no_progress,
-    otherwise: Callable[[], Iterable[Array]] = no_more,
+    on_progress: Progress = quiet,
+    otherwise: Callable[[], Iterable[Array]] = tuple,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
@@ -109,7 +105,7 @@ def multi_objective_design(
 
 
 @numerics()
-def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = no_progress) -> float:
+def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Progress = quiet) -> float:
     """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
 
     The gain is found by descent from the design's, whose rounds are counted: it need not be the best.
@@ -121,3 +117,42 @@ def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, 
     """
     found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)
+
+
+def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) -> MultiObjectiveDesign:
+    """Runs the search, started from the two steps of the first, middle and last member, and from its own starts."""
+    count, gains = len(problem.members), []
+    for i in sorted({0, count // 2, count - 1}):
+        posed = problem.members[i].posed[0]
+        of_state = np.any(posed.Cy != 0, axis=1)  # of forces alone nothing is designed
+        with contextlib.suppress(InputError):
+            gains.append(posed.on_readings(on_all_rows(two_step_design(posed.rows(of_state)).gain, of_state, len(of_state))))
+    return multi_objective_design(problem, gains, on_progress)
+
+
+def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProblem:
+    """Returns the same problem for the largest ratio to each member's individual optimum, within the same bounds.
+
+    Raises:
+        DesignError: a member has no gain within the bounds.
+    """
+    bests = []
+    for i in range(len(problem.members)):
+        try:
+            bests.append(run_search(problem.alone(i)).goal)
+        except DesignError as error:
+            raise DesignError(f"family[{i}] alone: {error}") from error
+    return replace(problem, bests=tuple(bests))
+
+
+def for_goals(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a gain for goals, by descent from the two steps and from other starts."""
+    assert problem.goals is not None, "goals"
+    found = run_search(problem.goals, progress)
+    law, share = static_law(found.gain), found.rejected_improvement
+    refused = f"; not accepted: {percent(share)} less for up to twice the gain" if share is not None else ""
+    remarks = [f"designed for its goals, by descent from the two-step method and other starts{refused}"]
+    if problem.thorough and (unproved := found.unproved):
+        remarks.append(f"stability with all errors is not proved for member {', '.join(map(str, unproved))}")
+    given = law, problem.certified(law), "descent for goals"
+    return DesignResult(*given, remarks=tuple(remarks), value=found.goal, criterion="goal", details=found)

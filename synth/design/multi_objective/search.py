@@ -2,7 +2,7 @@
 
 - Starts that make no loop unstable are ranked. A few of the best descend for some rounds, and the best of these descends to its
   end.
-- Without a bound on the gain, the gain grows by stages, as in `synth.design.descent.refine`, as long as that is worth it.
+- Without a bound on the gain, the gain grows by stages, as in `synth.design.descent.growth`, as long as that is worth it.
 - The active errors are all vertices of the box if these are few, or else the worst errors found so far. Only the certificate
   shows that the box has no worse ones.
 - Every start of a descent, and every end, is checked for errors that make it unstable. If no decay is required, the slowest pole
@@ -15,6 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
+from synth.design.descent.growth import grown, price
 from synth.design.descent.landscape import directions
 from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend
 from synth.design.descent.starts import lower_poles, survey
@@ -23,6 +24,7 @@ from synth.design.multi_objective.objectives import EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, decay, objectives_of
 from synth.design.multi_objective.worst_case import WorstCaseErrors
+from synth.design.problem import Progress
 from synth.plant.numerics import DesignError
 
 LARGEST_GAIN = 1e5  # largest unbounded gain, in units of a point, while other bounds are exceeded
@@ -30,8 +32,6 @@ DEAREST = 32.0  # times that, or times a larger gain of the start: limit while a
 MOST_VERTICES = 4  # of a box of errors that are all active from the beginning
 ENTERED = 5  # starts that go down some rounds
 GLANCE, ROUNDS = 15, 80  # rounds
-STAGES = 20  # twofold growths of the gain
-WORTH = 1e-3  # relative decrease of the goal that justifies a larger gain
 TURNS = 12  # limit of descents, each with more active errors
 TURNS_ON = 6  # descents of some rounds by which a given gain is improved
 MET = 1e-6  # relative: errors with a smaller effect are ignored
@@ -43,13 +43,11 @@ UNSTABLE = (
 )
 RANK = 30.0  # weight of a start's excess over a bound
 
-Told = Callable[[float, bool], None]  # called with the goal, and True if all bounds are kept
-
 
 class MinimaxSearch:
     """The search for one problem."""
 
-    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
+    def __init__(self, problem: MultiObjectiveProblem, on_progress: Progress) -> None:
         self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
@@ -217,8 +215,8 @@ class MinimaxSearch:
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
         """Returns a cost, lower is better: twice the gain has to pay for itself if the gain is unbounded."""
-        growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
-        return float(np.log(max(self.rank(evaluation), 1e-300)) + WORTH * growth)
+        worth = price(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
+        return float(np.log(max(self.rank(evaluation), 1e-300)) + worth)
 
     def restore_feasibility(self, x: Array) -> tuple[Array, Evaluation]:
         """Returns a point within all bounds, or the nearest to that which the search finds."""
@@ -276,18 +274,17 @@ class MinimaxSearch:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
         dearest = max(size, DEAREST)
-        for stage in range(STAGES):
-            self.minimax.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
-            moved, there = self.converge(x, evaluation)
-            growth = float(np.abs(moved).max()) / size
+
+        def lower(x: Array, evaluation: Evaluation, largest: float) -> tuple[Array, Evaluation]:
+            self.minimax.limit = np.full(len(x), min(largest, dearest))
+            return self.converge(x, evaluation)
+
+        def bought(evaluation: Evaluation, there: Evaluation) -> float:
             before = self.rank(evaluation)
-            bought = 1 - self.rank(there) / before if before > 0 else 0.0
-            if stage and bought < WORTH and there.within == evaluation.within:
-                return x, evaluation, bought if bought > 1e-6 else None
-            x, evaluation, size = moved, there, max(size, float(np.abs(moved).max()))
-            if stage and growth <= 1 + 1e-6:
-                break
-        return x, evaluation, None
+            return np.inf if there.within != evaluation.within else 1 - self.rank(there) / before if before > 0 else 0.0
+
+        x, evaluation, refused = grown(x, evaluation, lower, bought, size)
+        return x, evaluation, refused and refused[0]
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
         """Repeats descents, each in coordinates of its own, until one brings nothing."""

@@ -6,16 +6,20 @@ magnitude where mu is large. Between these filters the plant has a norm that bou
 and not both together, so there is no promise of the best law. Each law is judged by its own proved bound, and the best is kept.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy import optimize
 
 from models.common.arrays import Array
+from models.common.printed import digits
+from models.laws.law_structure import FULL
 from models.laws.linear import LinearLaw
+from synth.analysis.lower_bound import LowerBound
+from synth.design.methods import design
+from synth.design.problem import MU, DesignProblem, DesignResult, Progress
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound
-from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant
+from synth.design.uncertainty.structured_loop import StructuredLoop
 from synth.plant.augmented import append, gain, with_weights
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
@@ -25,63 +29,59 @@ TURNS = 6
 WORTH = 2e-3  # relative; a turn that lowers the bound by less is the last
 STEEP = 4  # power of mu in the weight of a frequency
 
-Design = Callable[[Plant], LinearLaw]
 
+def mu(problem: DesignProblem, progress: Progress) -> DesignResult:
+    """Designs a law with a better robust performance than that of the start; returns the start if none is found.
 
-@dataclass(frozen=True, eq=False)
-class RobustDesign:
-    """A law with its robust performance.
-
-    Attributes:
-        law: law on y.
-        gamma: bound on mu with performance.
-        turns: number of designs that led to it.
+    A law of fewer states begins with the scales of a law of full order.
     """
+    start, errors, structure = problem.start, problem.errors, problem.structure
+    assert start is not None, "a design for the norm comes first"
+    assert errors is not None, "weighted errors"
+    first = replace(start, value=structured_bound(errors.closed_by(problem.as_run(start.law))).gamma, criterion=MU)
+    best = [first]
 
-    law: LinearLaw
-    gamma: float
-    turns: int = 0
+    def turns(problem: DesignProblem, law: LinearLaw) -> DesignResult:
+        """Returns the best of the laws that designs for the scales of one another lead to."""
+        lowest, loop = first, errors.closed_by(problem.as_run(law))
+        of_state = np.any(errors.plant.Cy != 0, axis=1)
+        for _ in range(TURNS):
+            plant = scaled_plant(errors.plant, errors.errors, scaling_filters(loop)).rows(of_state).without_feedthrough
+            try:
+                found = design(replace(problem, plant=plant))
+            except DesignError:
+                break
+            own = problem.as_run(found.law)
+            loop = errors.closed_by(own)
+            gamma, before = structured_bound(loop).gamma, lowest.value
+            if gamma < before:
+                lowest = replace(found, value=gamma, criterion=MU)
+                if structure is None or own.states <= structure.order:
+                    best[:] = [lowest]
+            progress(lowest.value, True)
+            if not gamma < before * (1 - WORTH):
+                break
+        return lowest
+
+    unbounded = replace(problem, errors=None, start=None, lower_bound=LowerBound(0.0), states=(), certify=None)
+    full = turns(replace(unbounded, order=FULL, structure=None), start.law)
+    if structure is not None:
+        turns(unbounded, full.law)
+    if best[0] is first:
+        return start
+    remark = (
+        "designed for the smallest robust performance (mu), by design and scaling of errors in turn; the law with the smallest "
+        f"norm, {digits(start.certificate.norm.value)}, has mu = {digits(first.value)}"
+    )
+    return replace(best[0], certificate=problem.certified(best[0].law), remarks=(remark,))
 
 
-def robust_design(
-    structured: StructuredPlant,
-    design: Design,
-    start: RobustDesign,
-    on_turn: Callable[[RobustDesign], None] = lambda best: None,
-    scaled: LinearLaw | None = None,
-) -> RobustDesign:
-    """Returns the law of the least robust performance among those that designs for the scales of one another lead to.
-
-    Args:
-        structured: the plant with its errors.
-        design: returns a continuous law on the measurements of a plant; may raise a DesignError.
-        start: law that stabilises the plant; it is the result if the search finds no better one.
-        on_turn: callback that receives the best law so far after each turn.
-        scaled: law whose scales are the first; the start by default.
-    """
-    best, loop = start, structured.closed_by(start.law if scaled is None else scaled)
-    for turn in range(1, TURNS + 1):
-        try:
-            law = design(scaled_plant(structured, scaling_filters(loop)))
-        except DesignError:
-            break
-        loop = structured.closed_by(law)
-        gamma, before = structured_bound(loop).gamma, best.gamma
-        if gamma < before:
-            best = RobustDesign(law, gamma, turn)
-        on_turn(best)
-        if not gamma < before * (1 - WORTH):
-            break
-    return best
-
-
-def scaled_plant(structured: StructuredPlant, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
-    """Returns the plant between scales of its errors.
+def scaled_plant(plant: Plant, k: int, filters: list[tuple[StateSpace, StateSpace]]) -> Plant:
+    """Returns the plant between scales of its k errors.
 
     Args:
         filters: filters for each error: the scale of q and its inverse, whose output is p.
     """
-    plant, k = structured.plant, structured.errors
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
     inputs = append(gain(np.eye(plant.Bw.shape[1] - k)), *(inverse for _, inverse in filters))
     return with_weights(plant, outputs, inputs)

@@ -12,7 +12,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.combinations import goes
-from models.laws.linear import static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
@@ -22,7 +21,8 @@ from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem, norm_in_continuous_time, sampled_loop
 from synth.controller.loop_of import with_lag
 from synth.controller.report import has_sampled_norm
-from synth.design.sampled_data import held_design
+from synth.design.methods import design
+from synth.design.problem import DesignProblem
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
 
@@ -179,10 +179,11 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
-        gain = held_design(held_problem(built, entry), near, [controller.law.D]).gain
+        held = held_problem(built, entry)
+        law = design(DesignProblem(held.plant, sampled=held, near=near, known=[controller.law], thorough=False)).law
     except DesignError as error:
         return None, str(error)
-    return norm_at(vehicle, replace(controller, law=static_law(gain)), period, 0, near), ""
+    return norm_at(vehicle, replace(controller, law=law), period, 0, near), ""
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:

@@ -19,6 +19,7 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, problem
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.search import MinimaxSearch
+from synth.design.problem import quiet
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
@@ -192,7 +193,7 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
     if problem.decay is None and starts:
         decay = -float(np.real(stability(posed.A + posed.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
         problem = replace(problem, decay=SLOWER * decay if decay > 0 else None)
-    search = MinimaxSearch(problem, lambda goal, within: None)
+    search = MinimaxSearch(problem, quiet)
     return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
