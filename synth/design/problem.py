@@ -170,6 +170,8 @@ class DesignResult(Shown):
             of chains of 26 and 40 states still grows a hundredfold as mu falls as much. The norm of such a gain is proved, but
             none of its digits is that of the optimum.
         origin: start of the search that led to the law, in words; empty without a search.
+        two_steps: result of the two steps that the search of a static gain also started from; None without.
+        starts: number of other stable starts of that search.
         preview: force from the road ahead, in addition to that of the law; None without.
         without: value of the objective if nothing is known ahead.
         trade: Pareto front of norm and speed of full-order laws, the slowest first; empty for a law that is near the bound and
@@ -193,6 +195,8 @@ class DesignResult(Shown):
     optimum_gap: float = 0.0
     moved: float = 0.0
     origin: str = ""
+    two_steps: "DesignResult | None" = None
+    starts: int = 0
     preview: "RoadPreview | None" = None
     without: float = np.nan
     trade: tuple[Any, ...] = ()
