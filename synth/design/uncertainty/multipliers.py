@@ -307,11 +307,9 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         row[r + i] = -1j * T[d + i]
         F[k + i] = row + row.conj().T
     F0 = -T[:d].conj().T @ T[:d]
-    bounds = list[Block]()
-    for first, sign, most in ((0, 1, 0.0), (0, -1, LARGEST), (k, 1, LARGEST), (k, -1, LARGEST)):  # of D and G
-        limits = np.zeros((N, k, k))
-        limits[first + np.arange(k), np.arange(k), np.arange(k)] = sign
-        bounds.append((most * np.eye(k), limits))
+    one, each = np.ones((1, 1)), np.eye(N)[:, :, None, None]
+    bounds = [(0 * one, each[i]) for i in range(k)]  # of D and G
+    bounds += [(LARGEST * one, sign * each[i]) for i in range(2 * k) for sign in ((-1, 1) if i >= k else (-1,))]
     # First without w and z.
     own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)
