@@ -42,7 +42,6 @@ BOTH = f"{TWO_STEPS} and {DESCENT}"
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
-BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
@@ -82,21 +81,21 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
         return steps
     _, _, kept = independently_measured(plant)
-    few, given = plant.rows(kept), (problem.largest_gain, problem.lower_bound)
+    independent, given = plant.rows(kept), (problem.largest_gain, problem.lower_bound)
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import descended
 
     # In place of two steps that are worse than no control, a gain with poles that actuators can follow is enough.
     limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
-        ends = descended(few, start, *given, limits=limits, work=problem.work)
+        ends = descended(independent, start, *given, limits=limits, work=problem.work)
         result = next((end for end in ends if not end.certificate.beyond_actuators), ends[0])
         how = f"by descent on the norm from {result.origin}, with gains up to {problem.largest_gain:g}"
         if result.certificate.failures:
             raise DesignError("; ".join(result.certificate.failures))
         how += f"; {result.remark}" * bool(result.remarks)
     except InputError as error:
-        left = _known_gain(few, start, problem.lower_bound)
+        left = _known_gain(independent, start, problem.lower_bound)
         if left is None:
             message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
             raise DesignError(f"{message}; reason for the descent: {failure or reason}") from error
@@ -150,20 +149,20 @@ def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tupl
         design.certificate.beyond_actuators,
     )
     kept = [i for i in range(q) if i not in design.redundant]
-    few, start = problem.plant.rows(kept), design.gain[:, kept]
+    independent, start = problem.plant.rows(kept), design.gain[:, kept]
     lowest, faster, growth, size, origin = design, None, 1.0, float(np.abs(start).max(initial=0.0)), ITS_GAIN
-    equation, nearer = _state_feedback(few, below, largest_gain)
+    equation, nearer = _state_feedback(independent, below, largest_gain)
     steps, limits = replace(design, law=static_law(start)), LIMITS[:1] if fast else LIMITS
     searches: list[tuple[str, Callable[[], list[Array]]]] = [
         (EQUATION, lambda: equation),
-        (ITS_GAIN, lambda: [refine(few, None, start).gain]),
-        (SEARCHED, lambda: [end.gain for end in descended(few, steps, largest_gain, below, limits=limits, work=work)]),
+        (ITS_GAIN, lambda: [refine(independent, None, start).gain]),
+        (SEARCHED, lambda: [end.gain for end in descended(independent, steps, largest_gain, below, limits=limits, work=work)]),
     ]
     for name, gains in searches:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             for gain in gains():
                 grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
-                certificate = certify_law(few, static_law(gain), below)
+                certificate = certify_law(independent, static_law(gain), below)
                 price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
                 lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
                 if lower and not certificate.failures and grown * size <= largest_gain:

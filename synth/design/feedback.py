@@ -33,7 +33,6 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
 FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
-BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 FeedbackDesign = DesignResult  # its public name
 
 
@@ -230,12 +229,6 @@ def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
 
 def _static(problem: DesignProblem) -> DesignResult:
     """Designs a static gain, by the two steps, and by descent from there or in their place."""
-    check_stabilisable(problem.plant, problem.states)
-    if problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
-        from synth.lmi.full_order_bound import find_lower_bound
-
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            problem = replace(problem, lower_bound=find_lower_bound(problem.plant))
     from synth.design.static import bounded_work
 
     result = designed(replace(problem, work=bounded_work(problem.plant)))
@@ -265,7 +258,7 @@ def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[Hol
 
             near = (problem.lower_bound or find_lower_bound(problem.plant)).gamma or 1.0
         else:
-            static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, thorough=False)
+            static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, alternatives=False)
             ideal = designed(replace(static, work=work))
             known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
     result = designed(replace(problem, sampled=held, ideal=known, near=near, work=work))

@@ -88,8 +88,9 @@ class DesignProblem:
         ideal: static gains of the ideal loop, from which a design for the sampled loop starts.
         near: a level near the norm of the sampled loop.
         goals: goals of a static gain; None for the norm alone.
-        thorough: True to go on from two steps that end above the lower bound, and to use another design where Riccati equations
-            fail. A vehicle file has the two steps as they are.
+        alternatives: True to find the lower bound of a static gain, to go on from two steps that end above that bound, and to use
+            another design where Riccati equations fail. A vehicle file has the two steps as they are.
+        thorough: True to find the lower bound of a sampled loop, and to tell what is not proved of a family.
         lower_bound: lower bound for any controller from these measurements, if known.
         states: names of the states, for messages.
         path: returns the central path of (22) if it is known, or raises a DesignError.
@@ -115,6 +116,7 @@ class DesignProblem:
     ideal: Sequence[Array] = ()
     near: float = 1.0
     goals: "MultiObjectiveProblem | None" = None
+    alternatives: bool = True
     thorough: bool = True
     lower_bound: LowerBound | None = None
     states: Sequence[str] = ()

@@ -108,12 +108,12 @@ def static_output_feedback(
     check_inputs(plant)
     plant = plant.measured(Cy, Dyw)
     rows = independent_rows(plant)
-    few = plant.rows(rows)
+    independent = plant.rows(rows)
     try:
-        two_steps = two_step_design(few)
+        two_steps = two_step_design(independent)
     except InputError as error:
         two_steps = str(error)
-    (found,) = descended(few, two_steps, largest_gain, lower_bound, rival)
+    (found,) = descended(independent, two_steps, largest_gain, lower_bound, rival)
     return with_redundant_rows(found, rows, len(plant.Cy), 0.0)
 
 
@@ -248,10 +248,10 @@ class GainSearch:
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
         """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
-        few = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
+        most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:
             ends = list[Candidate]()
-            for each in best[: min(count, few)]:
+            for each in best[: min(count, most)]:
                 ends.append(self.step(each, rounds))
                 if self.reached(ends[-1]):
                     return ends[-1]
