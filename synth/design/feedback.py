@@ -192,9 +192,10 @@ def _distance(certificate: Certificate) -> str:
     """Returns the gap between a norm and the lower bound, in words; empty if it is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller has a lower norm"
+    reason = f"; {certificate.below.reason}" if certificate.below is not None and certificate.below.reason else ""
     if certificate.gap is not None:
-        return f"its norm is {percent(certificate.gap)} above the lower bound {digits(certificate.lower_bound)}"
-    return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
+        return f"its norm is {percent(certificate.gap)} above the lower bound {digits(certificate.lower_bound)}{reason}"
+    return f"no lower bound of the norm is known{reason}" if certificate.norm.value > certificate.norm_rounding else ""
 
 
 def _rms(plant: Plant, noise: Sequence[float]) -> Array:
