@@ -142,12 +142,8 @@ def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tupl
     from synth.design.descent.refine import WORTH, refine
     from synth.design.static import descended
 
-    q, below, largest_gain, fast = (
-        len(problem.plant.Cy),
-        problem.lower_bound,
-        problem.largest_gain,
-        design.certificate.beyond_actuators,
-    )
+    q, below, largest_gain = len(problem.plant.Cy), problem.lower_bound, problem.largest_gain
+    fast = design.certificate.beyond_actuators
     kept = [i for i in range(q) if i not in design.redundant]
     independent, start = problem.plant.rows(kept), design.gain[:, kept]
     lowest, faster, growth, size, origin = design, None, 1.0, float(np.abs(start).max(initial=0.0)), ITS_GAIN

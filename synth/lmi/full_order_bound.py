@@ -69,26 +69,20 @@ def find_lower_bound(
         >>> f"{find_lower_bound(oscillator, Cy=[[0, 1]]).gamma:.4f}"
         '0.2500'
     """
-    best = _largest_bound(plant, Cy, path, beyond_control, Dyw)
-    if not np.any(plant.Dyw if Dyw is None else Dyw):
+    measured = Cy is not None or bool(len(plant.Cy))
+    if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
+        plant = plant.measured(Cy, Dyw)
+    best = _largest_bound(plant, measured, path, beyond_control)
+    if best.state is not None or not np.any(plant.Dyw):
         return best
     own = own_units(plant).into(plant.differences)
     undisturbed = [pole_text(pole, plant.dt) for pole, _ in uncontrollable_modes(own.A, own.Bw, plant.dt)]
     reason = f"w does not act on the mode at {' and '.join(undisturbed)}, so zeros alone prove a lower bound"
-    return replace(best, reason=reason) if undisturbed and best.state is None else best
+    return replace(best, reason=reason) if undisturbed else best
 
 
-def _largest_bound(
-    plant: Plant,
-    Cy: Matrix | None,
-    path: Sequence[CentralPoint],
-    beyond_control: LowerBound | None,
-    Dyw: Array | None,
-) -> LowerBound:
-    """Returns the bound of `find_lower_bound`."""
-    measured = Cy is not None or bool(len(plant.Cy))
-    if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
-        plant = plant.measured(Cy, Dyw)
+def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], beyond_control: LowerBound | None) -> LowerBound:
+    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback of a plant that is not measured."""
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None

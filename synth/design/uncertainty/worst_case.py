@@ -260,8 +260,8 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
     """Returns the proof of a given bound, by an X for each part of the box or by multipliers; stores larger norms on the way.
 
     Args:
-        patience: number of attempts to find an X, relative to the usual number; one for many errors. Below 1 multipliers come
-            first for many errors.
+        patience: number of attempts to find an X, relative to the usual number; one for many errors. If it is below 1, the search
+            for many errors tries multipliers first.
     """
     many = len(box.uncertain) > MANY
 
