@@ -300,7 +300,8 @@ class _Search:
 
     def form(self, found: Array, gamma: float) -> MultiplierForm:
         """Returns the form of [D, G]."""
-        return MultiplierForm(self.loop, *np.split(found, 2), gamma**2)
+        D, G = np.split(found, 2)
+        return MultiplierForm(self.loop, D, G, gamma**2)
 
     def multipliers(self, omega: float, gamma: float) -> tuple[float, Array | None]:
         """Returns a bound, and [D, G] in the middle of those that prove a given one at a frequency; see `_multipliers`."""
