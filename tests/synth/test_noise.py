@@ -141,7 +141,7 @@ def test_static_gains_of_the_active_suspension(scenario):
 
 @pytest.mark.parametrize("mode", [1.0, 2.0])
 def test_a_bound_tells_that_w_does_not_act_on_a_mode(mode):
-    """Where noise of y is all of w, zeros alone bound the norm: the bound names the mode. With some of w on x a design meets the bound.
+    """Where noise of y is all of w, zeros alone bound the norm, and the bound names the mode. Else a design meets the bound.
 
     Of x' = mode x + u, y = x + w and z = u the least norm is 2 mode, the inverse of the largest Hankel singular value.
     """
