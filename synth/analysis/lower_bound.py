@@ -68,6 +68,7 @@ class LowerBound:
         observer: dual certificate of the transposed plant; None if the bound is that of state feedback.
         limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; else None.
         zeros: zeros from u to z and from w to y [rad/s] by which `interpolation.limit_at_zeros` proves the bound; else None.
+        reason: reason why the bound may be far below what controllers reach, in words; empty if none is known.
     """
 
     given_as = "a lower bound, such as synth.find_lower_bound returns"
@@ -77,6 +78,7 @@ class LowerBound:
     observer: DualCertificate | None = None
     limit_at: float | None = None
     zeros: "Zeros | None" = None
+    reason: str = ""
 
 
 BEYOND = 1e-8  # relative; what rounding may change of a level's plant

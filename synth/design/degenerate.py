@@ -32,28 +32,30 @@ def regularised(plant: Plant) -> WellPosedProblem:
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
-    blind = output_nulling_subspace(own, nothing)[1]  # states unobservable in z without control
-    alone = nothing if is_stable(plant.A, plant.dt) else None
+    unobservable = output_nulling_subspace(own, nothing)[1]  # states unobservable in z without control
+    zero_gain = nothing if is_stable(plant.A, plant.dt) else None
     strength = size(own.Bw) * (plant.dt or 1.0)
-    everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
+    regular = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
-    if not np.any(plant.D) and not _leaves(own.B, blind):
+    if not np.any(plant.D) and not _leaves(own.B, unobservable):
         text = "no control force affects z, so its norm is the same for every gain"
-        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; no force is applied")
+        return WellPosedProblem(regular, f"{text} that stabilises the plant", zero_gain, f"{text}; no force is applied")
 
     kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
-    if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
+    if len(rest.A) and (direct or _leaves(own.Bw, unobservable, kept @ rest.Bw)):
         return WellPosedProblem(plant)
-    beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
+    disturbed = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else regular
     how = "affects z only through Dw" if direct else "does not affect z"
-    if not _leaves(own.Bw, blind):
+    if not _leaves(own.Bw, unobservable):
         text = f"without control w {how}"
-        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; no force is applied")
+        return WellPosedProblem(
+            disturbed, f"{text}, but the plant is not stable; {INSTEAD}", zero_gain, f"{text}; no force is applied"
+        )
     best = forces[:, None] * F / scale
     stable = is_stable(plant.closed_loop(best).A, plant.dt)
     text = f"with the right state feedback w {how}; {INSTEAD}"
-    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w {how}")
+    return WellPosedProblem(disturbed, text, best if stable else None, f"with this gain w {how}")
 
 
 def unpenalised_inputs(plant: Plant) -> list[str]:

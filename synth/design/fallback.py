@@ -9,7 +9,6 @@ noise leave a solution far above the lower bound, the descent continues from it.
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,6 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import brief, digits, percent, rough
 from models.laws.linear import static_law
-from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
@@ -26,7 +24,6 @@ from synth.design.problem import DESCENT, LARGEST_GAIN, SEEN, TWO_STEPS, DesignP
 from synth.design.two_step import (
     NO_GAIN,
     NO_SECOND_STEP,
-    check_stabilisable,
     independently_measured,
     no_gain,
     with_redundant_rows,
@@ -82,36 +79,29 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
         reason = NO_SECOND_STEP if isinstance(failure, NoSolutionError) else str(failure)
     elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
         return steps
-    check_stabilisable(plant, problem.states)
     _, _, kept = independently_measured(plant)
-    few = plant.rows(kept)
+    independent, given = plant.rows(kept), (problem.largest_gain, problem.lower_bound)
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
     from synth.design.static import descended
 
     # In place of two steps that are worse than no control, a gain with poles that actuators can follow is enough.
     limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
-        searches = [descended(few, start, problem.largest_gain, problem.lower_bound, work=problem.work)]
-        for most in limits[1:]:
-            if not searches[-1].certificate.beyond_actuators:
-                break
-            searches.append(descended(few, start, problem.largest_gain, problem.lower_bound, most=most, work=problem.work))
-        search = next((one for one in searches if not one.certificate.beyond_actuators), searches[0])
-        certificate, gain = search.certificate, search.gain
-        how = f"by descent on the norm from {search.origin}, with gains up to {problem.largest_gain:g}"
-        if certificate.failures:
-            raise DesignError("; ".join(certificate.failures))
-        how += f"; {search.stopped}" * bool(search.stopped)
+        ends = descended(independent, start, *given, limits=limits, work=problem.work)
+        result = next((end for end in ends if not end.certificate.beyond_actuators), ends[0])
+        how = f"by descent on the norm from {result.origin}, with gains up to {problem.largest_gain:g}"
+        if result.certificate.failures:
+            raise DesignError("; ".join(result.certificate.failures))
+        how += f"; {result.remark}" * bool(result.remarks)
     except InputError as error:
-        left = _known_gain(few, start, problem.lower_bound)
+        left = _known_gain(independent, start, problem.lower_bound)
         if left is None:
             message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
             raise DesignError(f"{message}; reason for the descent: {failure or reason}") from error
-        gain, certificate, how = left
-    unproved = "; rounding leaves no proof of a bound, but two methods agree on the norm" if certificate.bound is None else ""
+        result, how = left
+    unproved = "; rounding leaves no proof of a bound, but two methods agree on the norm" * (result.certificate.bound is None)
     instead = f"designed {how}{unproved}; reason: {reason}"
-    result = DesignResult(static_law(gain), certificate, DESCENT, instead=instead)
-    return with_redundant_rows(result, kept, len(plant.Cy), 0.0)
+    return with_redundant_rows(replace(result, method=DESCENT, instead=instead, remarks=()), kept, len(plant.Cy), 0.0)
 
 
 def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
@@ -121,18 +111,16 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     gain, as near the bound as `largest_gain` allows, if that is given, or else actuators. Where that ends more than 1 % above the
     bound, descents begin elsewhere, too. The lower norm is kept, unless it takes poles beyond any actuator.
     """
-    result, work = problem.start, problem.work
+    from synth.design.static import bounded_work
+
+    result, work = problem.start, problem.work or bounded_work(problem.plant)
     assert result is not None, "a design comes first"
     gap = result.certificate.gap
     if result.instead or (gap is not None and gap <= NEAR) or not result.certificate.norm.value:
         return result
-    if work is None:
-        from synth.design.static import bounded_work
-
-        work = bounded_work(problem.plant)
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     came = f"the two-step method reaches norm {digits(result.certificate.norm.value)}{far}; "
-    lower, growth, origin, nearer = _refined(problem.plant, result, problem.lower_bound, problem.largest_gain, work)
+    lower, growth, origin, nearer = _refined(problem, result, work)
     came += origin
     stopped = nearer + (f"; {work.text}" if work.over else "")
     if lower is None:
@@ -143,9 +131,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     return replace(lower, why=f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}", method=BOTH)
 
 
-def _refined(
-    plant: Plant, design: DesignResult, below: LowerBound | None, largest_gain: float, work: "Work"
-) -> tuple[DesignResult | None, float, str, str]:
+def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
     """Returns a design of a lower norm, the growth of the gain, the start, and a remark; None if no design is found.
 
     From the gain of the two steps, and of a Riccati equation if all states are measured, the norm falls within one valley. Where
@@ -156,33 +142,33 @@ def _refined(
     from synth.design.descent.refine import refine
     from synth.design.static import descended
 
-    q = len(plant.Cy)
+    q, below, largest_gain = len(problem.plant.Cy), problem.lower_bound, problem.largest_gain
+    fast = design.certificate.beyond_actuators
     kept = [i for i in range(q) if i not in design.redundant]
-    few, start = plant.rows(kept), design.gain[:, kept]
+    independent, start = problem.plant.rows(kept), design.gain[:, kept]
     lowest, faster, growth, size, origin = design, None, 1.0, float(np.abs(start).max(initial=0.0)), ITS_GAIN
-    equation, nearer = _state_feedback(few, below, largest_gain)
-    search = partial(descended, few, replace(design, law=static_law(start)), largest_gain, below, work=work)
-    gains: list[tuple[str, Callable[[], Array]]] = [(EQUATION, lambda K=K: K) for K in equation]
-    gains.append((ITS_GAIN, lambda: refine(few, None, start).gain))
-    gains += [(SEARCHED, lambda most=most: search(most=most).gain) for most in LIMITS]
-    for name, gain_of in gains:
-        fast = True
+    equation, nearer = _state_feedback(independent, below, largest_gain)
+    steps, limits = replace(design, law=static_law(start)), LIMITS[:1] if fast else LIMITS
+    searches: list[tuple[str, Callable[[], list[Array]]]] = [
+        (EQUATION, lambda: equation),
+        (ITS_GAIN, lambda: [refine(independent, None, start).gain]),
+        (SEARCHED, lambda: [end.gain for end in descended(independent, steps, largest_gain, below, limits=limits, work=work)]),
+    ]
+    for name, gains in searches:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = gain_of()
-            grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
-            certificate = certify_law(few, static_law(gain), below)
-            fast = certificate.beyond_actuators and not (name == EQUATION or design.certificate.beyond_actuators)
-            worth = price(min(max(grown / growth, 1.0), MOST_GROWTH))
-            lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, worth))
-            if lower and not certificate.failures and grown * size <= largest_gain:
-                found = with_redundant_rows(DesignResult(static_law(gain), certificate, case=design.case), kept, q, 0.0)
-                if fast:
-                    faster = faster or found
-                else:
-                    lowest, faster, growth, origin = found, faster, grown, name
+            for gain in gains():
+                grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
+                certificate = certify_law(independent, static_law(gain), below)
+                worth = price(min(max(grown / growth, 1.0), MOST_GROWTH))
+                lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, worth))
+                if lower and not certificate.failures and grown * size <= largest_gain:
+                    found = with_redundant_rows(DesignResult(static_law(gain), certificate, case=design.case), kept, q, 0.0)
+                    if certificate.beyond_actuators and not (name == EQUATION or fast):
+                        faster = faster or found
+                    else:
+                        lowest, faster, growth, origin = found, faster, grown, name
         gap = lowest.certificate.gap
-        near = gap is not None and gap <= FAR and (lowest is not design or name != EQUATION)
-        if near or (name == SEARCHED and not fast):
+        if gap is not None and gap <= FAR and (lowest is not design or name != EQUATION):
             break
     return lowest if lowest is not design else faster, growth, origin, nearer
 
@@ -209,31 +195,18 @@ def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float)
     return [], why
 
 
-def _known_gain(
-    plant: Plant, two_steps: DesignResult | str, lower_bound: LowerBound | None
-) -> tuple[Array, Certificate, str] | None:
+def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: LowerBound | None) -> tuple[DesignResult, str] | None:
     """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
-
-    def of_two_steps() -> Array | None:
-        return two_steps.gain if isinstance(two_steps, DesignResult) else None
-
-    def of_zero_l() -> Array | None:
-        return zero_l_design(plant).gain
-
-    def no_control() -> Array | None:
-        return np.zeros((plant.B.shape[1], len(plant.Cy))) if is_stable(plant.A, plant.dt) else None
-
     from synth.analysis.bounding import certify_law
 
-    for how, known in (
-        ("by the two-step method without changes", of_two_steps),
-        ("by the second step with L = 0", of_zero_l),
-        ("without control, as the plant is stable", no_control),
+    nothing = static_law(np.zeros((plant.B.shape[1], len(plant.Cy))))
+    for how, law in (
+        ("by the two-step method without changes", lambda: two_steps.law if isinstance(two_steps, DesignResult) else None),
+        ("by the second step with L = 0", lambda: zero_l_design(plant).law),
+        ("without control, as the plant is stable", lambda: nothing),
     ):
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = known()
-            if gain is not None:
-                certificate = certify_law(plant, static_law(gain), lower_bound)
-                if not certificate.failures:
-                    return gain, certificate, how
+            known = law()
+            if known is not None and not (certificate := certify_law(plant, known, lower_bound)).failures:
+                return DesignResult(known, certificate), how
     return None

@@ -33,7 +33,6 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 WHERE = "design_feedback:"
 FEEDBACK = tuple(name for name in DESIGNS if name != PREVIEW)
-BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 FeedbackDesign = DesignResult  # its public name
 
 
@@ -193,9 +192,10 @@ def _distance(certificate: Certificate) -> str:
     """Returns the gap between a norm and the lower bound, in words; empty if it is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller has a lower norm"
+    reason = f"; {certificate.below.reason}" if certificate.below is not None and certificate.below.reason else ""
     if certificate.gap is not None:
-        return f"its norm is {percent(certificate.gap)} above the lower bound {digits(certificate.lower_bound)}"
-    return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
+        return f"its norm is {percent(certificate.gap)} above the lower bound {digits(certificate.lower_bound)}{reason}"
+    return f"no lower bound of the norm is known{reason}" if certificate.norm.value > certificate.norm_rounding else ""
 
 
 def _rms(plant: Plant, noise: Sequence[float]) -> Array:
@@ -230,12 +230,6 @@ def _structure(plant: Plant, section: Mapping[str, Any]) -> LawStructure | None:
 
 def _static(problem: DesignProblem) -> DesignResult:
     """Designs a static gain, by the two steps, and by descent from there or in their place."""
-    check_stabilisable(problem.plant, problem.states)
-    if problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
-        from synth.lmi.full_order_bound import find_lower_bound
-
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            problem = replace(problem, lower_bound=find_lower_bound(problem.plant))
     from synth.design.static import bounded_work
 
     result = designed(replace(problem, work=bounded_work(problem.plant)))
@@ -265,7 +259,7 @@ def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[Hol
 
             near = (problem.lower_bound or find_lower_bound(problem.plant)).gamma or 1.0
         else:
-            static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, thorough=False)
+            static = DesignProblem(problem.plant, lower_bound=problem.lower_bound, states=problem.states, alternatives=False)
             ideal = designed(replace(static, work=work))
             known, near = [ideal.law], ideal.certificate.norm.value or 1.0
     result = designed(replace(problem, sampled=held, known=known, near=near, work=work))

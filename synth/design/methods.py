@@ -7,6 +7,7 @@ A method is a function in a file of its own, and a line in `METHODS` of `models.
 It raises an InputError, such as a DesignError, where it finds no controller.
 """
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -18,6 +19,8 @@ from models.laws.design_methods import METHODS
 from models.laws.law_structure import FULL
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
+
+BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 
 Method = Callable[[DesignProblem, Progress], DesignResult]
 
@@ -51,9 +54,9 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return (problem.design,), ()
     static = "two_steps", "descent"
     if problem.order == FULL:
-        free = problem.thorough and not problem.stable and problem.fastest_pole is None
+        free = problem.alternatives and not problem.stable and problem.fastest_pole is None
         return ("riccati", *(("h2", *static) if free else ())), ("descent",)
-    return static, ("descent", "refinement") if problem.thorough else ("descent",)
+    return static, ("descent", "refinement") if problem.alternatives else ("descent",)
 
 
 @numerics()
@@ -68,6 +71,8 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
         DesignError: no method found one; the message gives the reason.
     """
     tries, further = (tuple(name for name in names if name in METHODS) for names in choose(problem))
+    if "descent" in further and problem.order != FULL:
+        problem = _possible(problem)
     failures: list[Exception] = []
     for name in tries:
         try:
@@ -85,6 +90,23 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
         problem = problem.starting(method_of(name)(problem, progress))
     assert problem.start is not None, "a method returns a result"
     return _instead_of_riccati(problem, problem.start, failures[0]) if failures and problem.order == FULL else problem.start
+
+
+def _possible(problem: DesignProblem) -> DesignProblem:
+    """Returns the problem of a static gain with a lower bound, which is found unless the plant has too many states.
+
+    Raises:
+        InfeasibleError: no static gain stabilises the plant; the message names the mode.
+    """
+    from synth.design.two_step import check_stabilisable
+
+    check_stabilisable(problem.plant, problem.states)
+    if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
+        from synth.lmi.full_order_bound import find_lower_bound
+
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            return replace(problem, lower_bound=find_lower_bound(problem.plant))
+    return problem
 
 
 def _instead_of_riccati(problem: DesignProblem, result: DesignResult, failure: Exception) -> DesignResult:

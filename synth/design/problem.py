@@ -90,8 +90,9 @@ class DesignProblem:
         near: a level near the norm of the sampled loop.
         goals: goals of a static gain; None for the norm alone.
         errors: the plant with errors weighted by frequency, for a law of the least robust performance; None without errors.
-        thorough: True to go on from two steps that end above the lower bound, and to use another design where Riccati equations
-            fail. A vehicle file has the two steps as they are.
+        alternatives: True to find the lower bound of a static gain, to go on from two steps that end above that bound, and to use
+            another design where Riccati equations fail. A vehicle file has the two steps as they are.
+        thorough: True to find the lower bound of a sampled loop, and to tell what is not proved of a family.
         lower_bound: lower bound for any controller from these measurements, if known.
         states: names of the states, for messages.
         path: returns the central path of (22) if it is known, or raises a DesignError.
@@ -118,6 +119,7 @@ class DesignProblem:
     near: float = 1.0
     goals: "MultiObjectiveProblem | None" = None
     errors: "StructuredPlant | None" = None
+    alternatives: bool = True
     thorough: bool = True
     lower_bound: LowerBound | None = None
     states: Sequence[str] = ()
@@ -173,6 +175,8 @@ class DesignResult(Shown):
             of chains of 26 and 40 states still grows a hundredfold as mu falls as much. The norm of such a gain is proved, but
             none of its digits is that of the optimum.
         origin: start of the search that led to the law, in words; empty without a search.
+        two_steps: result of the two steps that the search of a static gain also started from; None without.
+        starts: number of other stable starts of that search.
         preview: force from the road ahead, in addition to that of the law; None without.
         without: value of the objective if nothing is known ahead.
         trade: Pareto front of norm and speed of full-order laws, the slowest first; empty for a law that is near the bound and
@@ -196,6 +200,8 @@ class DesignResult(Shown):
     optimum_gap: float = 0.0
     moved: float = 0.0
     origin: str = ""
+    two_steps: "DesignResult | None" = None
+    starts: int = 0
     preview: "RoadPreview | None" = None
     without: float = np.nan
     trade: tuple[Any, ...] = ()

@@ -199,7 +199,17 @@ def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **
     if states:
         states = *states, *(f"force_{k + 1}_of_{held.remembered}_before" for k in range(held.remembered) for _ in range(m))
     found = design(
-        replace(problem, plant=plant, sampled=None, states=states, thorough=False, certify=None, fastest_pole=None, **more)
+        replace(
+            problem,
+            plant=plant,
+            sampled=None,
+            states=states,
+            thorough=False,
+            alternatives=False,
+            certify=None,
+            fastest_pole=None,
+            **more,
+        )
     )
     return found.law, found.remarks
 

@@ -14,8 +14,7 @@ several gains have the same norm, the search returns the smallest multiple. All 
 gives the same gain.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,17 +24,14 @@ from models.common.checks import Bound
 from models.common.errors import InputError
 from models.laws.linear import static_law
 from synth.analysis.bounding import certify_law
-from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.norm import hinf_norm
-from synth.analysis.stability import is_stable
 from synth.design.descent.landscape import Landscape, Work, price
 from synth.design.descent.minimax import descend_norm
-from synth.design.descent.refine import refine
+from synth.design.descent.refine import own_norm, refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, state_feedback_start, survey
-from synth.design.problem import LARGEST_GAIN, DesignResult
-from synth.design.two_step import independent_rows, no_gain, two_step_design
-from synth.plant.generalized import Plant, check_inputs, on_all_rows
+from synth.design.problem import DESCENT, LARGEST_GAIN, DesignResult
+from synth.design.two_step import independent_rows, no_gain, two_step_design, with_redundant_rows
+from synth.plant.generalized import Plant, check_inputs
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
@@ -61,29 +57,6 @@ HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
 LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
 
 
-@dataclass(frozen=True, eq=False)
-class StaticDesign:
-    """A static output-feedback gain for a plant, and where it comes from.
-
-    Attributes:
-        gain: K, shape (m, q).
-        certificate: certificate, with the gap to the lower bound if that is known.
-        two_steps: the paper's two steps; None if they find no gain.
-        without: reason why they find no gain, or empty.
-        origin: the start that led to the gain, in words.
-        starts: number of stable starts.
-        stopped: reason why the search stopped, in words; empty if it was completed.
-    """
-
-    gain: Array
-    certificate: Certificate
-    two_steps: DesignResult | None
-    without: str
-    origin: str
-    starts: int
-    stopped: str = ""
-
-
 class Candidate(NamedTuple):
     """A stable point, its norm, and the start that led to it."""
 
@@ -105,7 +78,7 @@ def static_output_feedback(
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
     rival: float = np.inf,
-) -> StaticDesign:
+) -> DesignResult:
     """The best static gain that the search finds, no entry larger than `largest_gain`.
 
     Args:
@@ -135,13 +108,13 @@ def static_output_feedback(
     check_inputs(plant)
     plant = plant.measured(Cy, Dyw)
     rows = independent_rows(plant)
-    few = plant.rows(rows)
+    independent = plant.rows(rows)
     try:
-        two_steps = two_step_design(few)
+        two_steps = two_step_design(independent)
     except InputError as error:
         two_steps = str(error)
-    found = descended(few, two_steps, largest_gain, lower_bound, rival)
-    return replace(found, gain=on_all_rows(found.gain, rows, len(plant.Cy)))
+    (found,) = descended(independent, two_steps, largest_gain, lower_bound, rival)
+    return with_redundant_rows(found, rows, len(plant.Cy), 0.0)
 
 
 @numerics()
@@ -151,32 +124,37 @@ def descended(
     largest_gain: float = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     rival: float = np.inf,
-    most: float = np.inf,
+    limits: Sequence[float] = (np.inf,),
     work: Work | None = None,
-) -> StaticDesign:
-    """Designs a static gain by descents, given the result of the two steps or the reason of their failure.
+) -> list[DesignResult]:
+    """Designs static gains by descents within one limit after the other, until poles are not beyond any actuator.
 
     Args:
         plant, largest_gain, lower_bound, rival: arguments of `static_output_feedback`.
         two_steps: result of the two steps, or the reason why they found no gain.
-        most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
-        work: counts the norms, those of several searches; `bounded_work` if it is not given.
+        limits: bounds on the entries of a gain in the landscape's units, in which 1 moves poles as fast as the plant's.
+        work: counts the norms of all searches; each has its own `bounded_work` if it is not given.
     """
-    work = bounded_work(plant) if work is None else work
-    search = GainSearch(plant, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, rival=rival, work=work)
-    search.limit = np.minimum(search.limit, most)
-    candidates = search.starts()
-    starts = len(candidates)
-    if isinstance(two_steps, DesignResult):
-        candidates += search.refined(two_steps)
-    if not candidates:
-        tried = f"descent on the norm from {MOST} starts{f', {work.text}' if work.over else ''}"
-        raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
-    best = search.best(candidates)
-    K = search.smallest(best)
-    steps, without = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
-    certificate = certify_law(plant, static_law(K), lower_bound)
-    return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
+    steps, instead = (two_steps, "") if isinstance(two_steps, DesignResult) else (None, two_steps)
+    ends = list[DesignResult]()
+    for limit in limits:
+        counted, below = work or bounded_work(plant), lower_bound.gamma if lower_bound is not None else 0.0
+        search = GainSearch(plant, largest_gain, below, rival=rival, work=counted)
+        search.limit = np.minimum(search.limit, limit)
+        candidates = search.starts()
+        starts = len(candidates)
+        candidates += search.refined(steps) if steps is not None else []
+        if not candidates:
+            tried = f"descent on the norm from {MOST} starts{f', {counted.text}' if counted.over else ''}"
+            raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
+        best = search.best(candidates)
+        law = static_law(search.smallest(best))
+        certificate, remarks = certify_law(plant, law, lower_bound), (counted.text,) * counted.over
+        given = law, certificate, DESCENT
+        ends.append(DesignResult(*given, remarks=remarks, instead=instead, origin=best.origin, two_steps=steps, starts=starts))
+        if not certificate.beyond_actuators:
+            break
+    return ends
 
 
 class GainSearch:
@@ -253,10 +231,10 @@ class GainSearch:
         The landscape loses digits where a gain is huge, and does not decide it.
         """
         K = self.landscape.gain(best.x)
-        most = max(self.own_norm(K) * (1 + EQUAL), self.nothing)
+        most = max(own_norm(self.plant, K) * (1 + EQUAL), self.nothing)
         least, refused, missed = 1.0, 0.0, 0
         for share in SHARES:
-            if self.own_norm(share * K) <= most:
+            if own_norm(self.plant, share * K) <= most:
                 least, missed = share, 0
             else:
                 refused, missed = (share, 1) if not missed else (refused, missed + 1)
@@ -264,21 +242,16 @@ class GainSearch:
                 break
         for _ in range(HALVINGS if least < 1 else 0):
             middle = (least + refused) / 2
-            least, refused = (middle, refused) if self.own_norm(middle * K) <= most else (least, middle)
+            least, refused = (middle, refused) if own_norm(self.plant, middle * K) <= most else (least, middle)
         return least * K
-
-    def own_norm(self, K: Array) -> float:
-        """The norm of a gain's loop by two routes; infinite where it is not stable."""
-        loop = self.plant.closed(static_law(K))
-        return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
         """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
-        few = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
+        most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:
             ends = list[Candidate]()
-            for each in best[: min(count, few)]:
+            for each in best[: min(count, most)]:
                 ends.append(self.step(each, rounds))
                 if self.reached(ends[-1]):
                     return ends[-1]

@@ -267,10 +267,10 @@ def two_step_design(
         >>> design.gain.shape, f"{design.certificate.norm.value:.4f}", design.certificate.failures
         ((1, 1), '0.2500', ())
     """
-    plant, few, kept = independently_measured(plant if Cy is None else plant.measured(Cy))
+    plant, independent, kept = independently_measured(plant if Cy is None else plant.measured(Cy))
     problem, q = well_posed(plant), len(plant.Cy)
     units = own_units(plant, measured=True)
-    rows, measured = units.rows(few.Cy)
+    rows, measured = units.rows(independent.Cy)
     if problem.best is not None:
         G = problem.best * units.states
         on_rows = G @ rows.T
@@ -278,7 +278,7 @@ def two_step_design(
             from synth.analysis.bounding import certify_tightly
 
             K = np.linalg.solve(measured.T, on_rows.T).T
-            best = _result(K, certify_tightly(few, Feedback(K, few.Cy), lower_bound), case=problem.best_case)
+            best = _result(K, certify_tightly(independent, Feedback(K, independent.Cy), lower_bound), case=problem.best_case)
             return with_redundant_rows(best, kept, q, 0.0)
     fits(unknowns(problem.plant), MOST, "the two-step method")
     path = path or state_path(plant, states)
@@ -289,7 +289,7 @@ def two_step_design(
         try:
             L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
             points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, L, Q)]
-            found = last_certified_gain(few, points, lower_bound)
+            found = last_certified_gain(independent, points, lower_bound)
         except DesignError as error:
             failures.append(error)
             continue
@@ -316,13 +316,13 @@ def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> Design
         NoSolutionError: (25) has no solution with L = 0.
         DesignError: no certificate holds.
     """
-    plant, few, kept = independently_measured(plant)
+    plant, independent, kept = independently_measured(plant)
     problem, units = well_posed(plant), own_units(plant, measured=True)
-    rows, measured = units.rows(few.Cy)
+    rows, measured = units.rows(independent.Cy)
     Q = nullspace(rows)
     points = output_feedback(units.into(problem.plant).measured(rows), np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
-    design = replace(last_certified_gain(few, path, lower_bound), case=problem.case)
+    design = replace(last_certified_gain(independent, path, lower_bound), case=problem.case)
     return with_redundant_rows(design, kept, len(plant.Cy), 0.0)
 
 
@@ -348,7 +348,6 @@ def _result(gain: Array, certificate: Certificate, **more: Any) -> DesignResult:
 
 def two_steps(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a static gain by the two steps."""
-    check_stabilisable(problem.plant, problem.states)
     return two_step_design(problem.plant, None, problem.path(), problem.lower_bound, problem.states)
 
 

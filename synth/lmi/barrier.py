@@ -25,7 +25,7 @@ Block = tuple[Array, Array]  # an affine matrix F0 + sum_i p_i F_i that must sta
 
 QUADRATIC = 0.25  # a Newton decrement from which full steps converge quadratically (Boyd, Vandenberghe, 9.6.4)
 STEPS = 200
-TOGETHER = 24  # rows in all, up to which the blocks are joined: fewer calls are faster
+TOGETHER = 24  # rows in all, up to which the blocks are joined: fewer calls are faster; of more the blocks of one row
 PANEL = 64  # columns of a QR's panel
 
 
@@ -41,10 +41,16 @@ class Barrier:
         if sum(len(F0) * (len(F0) + 1) // 2 for F0, _ in blocks) < len(blocks[0][1]):
             raise np.linalg.LinAlgError("the constraints do not determine every unknown")
         sizes = tuple(len(F0) for F0, _ in blocks)
-        parts = [((size,), block) for size, block in zip(sizes, blocks, strict=True)]
+        parts, numbers = (
+            [((len(F0),), (F0, F)) for F0, F in blocks if len(F0) > 1],
+            [block for block in blocks if len(block[0]) == 1],
+        )
         if sum(sizes) <= TOGETHER:
-            parts = [(sizes, _block_diagonal(blocks))]
+            parts, numbers = [(sizes, _block_diagonal(blocks))], []
         self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(each)) for each, (F0, F) in parts]
+        self.numbers = None
+        if numbers:
+            self.numbers = np.concatenate([F0[0] for F0, _ in numbers]), np.concatenate([F[:, 0] for _, F in numbers], axis=1)
 
     def at(self, p: Array) -> "Local | None":
         """Returns the derivatives at a point, or None outside the feasible set.
@@ -64,6 +70,14 @@ class Barrier:
             W.append(scaled)
             rows.append(scaled.take(upper, axis=1) * weights)
             trace = trace + scaled.take(diagonal, axis=1).sum(axis=1)
+        numbers = None
+        if self.numbers is not None:
+            values = self.numbers[0] + p @ self.numbers[1]
+            if not (values > 0).all():
+                return None
+            numbers = self.numbers[1] / values
+            rows.append(numbers)
+            trace = trace + numbers.sum(axis=1)
         # The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T). A QR of G' gives its factor, and loses half as many digits.
         G = np.concatenate(rows, axis=1)
         squares = np.einsum("ij,ij->i", G, G)
@@ -71,7 +85,7 @@ class Barrier:
             raise np.linalg.LinAlgError("the constraints do not determine every unknown, to rounding")
         scale = 1 / np.sqrt(squares)
         triangle = lapack.dgeqrf((G * scale[:, None]).T, lwork=PANEL * len(p), overwrite_a=1)[0][: len(p)]
-        return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)
+        return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W, numbers)
 
 
 def _block_diagonal(blocks: Sequence[Block]) -> Block:
@@ -137,13 +151,16 @@ class Local(Factored):
 
     Attributes:
         W: L^-1 F_i L^-T of every block, shapes (N, k k).
+        numbers: the same of all blocks of one row that are not joined with others, shape (N, k); None without.
     """
 
     W: list[Array]
+    numbers: Array | None = None
 
     def rates(self, step: Array) -> Array:
         """Returns `Factored.rates`."""
-        return np.concatenate([_eigenvalues(step @ W) for W in self.W])
+        rates = [_eigenvalues(step @ W) for W in self.W]
+        return np.concatenate(rates if self.numbers is None else [*rates, step @ self.numbers])
 
 
 class Derivatives(Protocol):

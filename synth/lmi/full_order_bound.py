@@ -9,6 +9,7 @@ in coordinates where X = S = I. State feedback has only the inequality of the pl
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
@@ -19,6 +20,7 @@ from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
 from synth.analysis.lower_bound import DualCertificate, LowerBound, Meeting, prove_from_inequalities
 from synth.analysis.rigorous import floats
+from synth.analysis.stability import pole_text, uncontrollable_modes
 from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
@@ -53,7 +55,8 @@ def find_lower_bound(
         Dyw: shape (q, r); zero if it is not given.
 
     Returns:
-        The bound; 0 without certificates if nothing is proved.
+        The bound; 0 without certificates if nothing is proved. Where w acts on y but not on a mode that does not decay, the LMIs
+        have no solution inside: only zeros and the invariant point then bound the norm, and `reason` names the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant, see `Plant.measured`.
@@ -69,6 +72,17 @@ def find_lower_bound(
     measured = Cy is not None or bool(len(plant.Cy))
     if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
         plant = plant.measured(Cy, Dyw)
+    best = _largest_bound(plant, measured, path, beyond_control)
+    if best.state is not None or not np.any(plant.Dyw):
+        return best
+    own = own_units(plant).into(plant.differences)
+    undisturbed = [pole_text(pole, plant.dt) for pole, _ in uncontrollable_modes(own.A, own.Bw, plant.dt)]
+    reason = f"w does not act on the mode at {' and '.join(undisturbed)}, so zeros alone prove a lower bound"
+    return replace(best, reason=reason) if undisturbed else best
+
+
+def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], beyond_control: LowerBound | None) -> LowerBound:
+    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback of a plant that is not measured."""
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None

@@ -52,6 +52,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         fastest_pole=request.fastest_pole,
         noise=white_noise(vehicle, entry, posed),
         preview=request.preview,
+        alternatives=False,
         thorough=False,
         lower_bound=lower_bound,
         states=plant_states(vehicle, entry.hardware.bandwidth),

@@ -61,18 +61,18 @@ def refined(
         controller = Controller.of(entry, gain, certificate, remarks=remarks, sampled=True, redundant=start.redundant)
         return RefinedController(controller, start, "", refinement)
     rows, origin = independent_rows(posed.plant), ""
-    few = posed.plant.rows(rows).without_feedthrough
+    independent = posed.plant.rows(rows).without_feedthrough
     if start is None:
         from synth.design.static import static_output_feedback
 
-        static = static_output_feedback(few, lower_bound=lower_bound)
+        static = static_output_feedback(independent, lower_bound=lower_bound)
         K, origin = static.gain, static.origin
     else:
         K = _gain(vehicle, start, posed, rows)
-    refinement = refine(few, None, K)
+    refinement = refine(independent, None, K)
     gain = np.zeros((len(K), len(entry.measured)))
     gain[:, rows] = refinement.gain
-    certificate = certify_law(few, static_law(refinement.gain), lower_bound)
+    certificate = certify_law(independent, static_law(refinement.gain), lower_bound)
     law = static_law(posed.plant.on_readings(gain))
     return RefinedController(Controller.of(entry, law, certificate), start, origin, refinement)
 
@@ -83,8 +83,8 @@ def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
     if gap is not None and gap <= SEEN:
         return 0.0
     rows = independent_rows(posed.plant)
-    few = posed.plant.rows(rows).without_feedthrough
-    share = worth_refining(few, _gain(vehicle, controller, posed, rows))
+    independent = posed.plant.rows(rows).without_feedthrough
+    share = worth_refining(independent, _gain(vehicle, controller, posed, rows))
     return share if share > SEEN else 0.0
 
 

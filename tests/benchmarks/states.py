@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
         plant, Cy = chain(size)
         start = time.process_time()
         try:
-            design = design_for(DesignProblem(plant.measured(Cy), thorough=False))
+            design = design_for(DesignProblem(plant.measured(Cy), alternatives=False))
         except DesignError as error:
             print(f"{size:4d} states: {error}")
             return 1

@@ -120,7 +120,7 @@ def ask_everything(seed: int, search: bool) -> None:
     asked(lambda: worth_refining(plant.measured(Cy), K))
     if search:
         asked(lambda: static_output_feedback(plant, Cy, lower_bound=below))
-        asked(lambda: design_for(DesignProblem(plant.measured(Cy), thorough=False)))
+        asked(lambda: design_for(DesignProblem(plant.measured(Cy), alternatives=False)))
 
 
 @pytest.mark.attack

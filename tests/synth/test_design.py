@@ -35,7 +35,7 @@ GOOD = {
 
 def chosen(plant: GeneralizedPlant) -> DesignResult:
     """The static gain of a vehicle's plant, by the methods that it leads to."""
-    return design_for(DesignProblem(plant, thorough=False))
+    return design_for(DesignProblem(plant, alternatives=False))
 
 
 @pytest.fixture(scope="module")

@@ -177,7 +177,7 @@ def test_where_the_two_steps_find_none_there_is_a_gain():
     assert found.method == "descent on the norm"
     assert "has no solution for the X of (22), but another gain may exist" in found.why
     assert "infeasible" not in repr(found)
-    of_vehicle = DesignProblem(plant.measured(np.array([[1, -0.5]])), thorough=False)
+    of_vehicle = DesignProblem(plant.measured(np.array([[1, -0.5]])), alternatives=False)
     assert design_for(of_vehicle).gain == pytest.approx(found.gain)
 
 
@@ -245,7 +245,7 @@ def test_no_static_design_is_worse_than_no_control(seed):
     assert two_step_design(plant, Cy).certificate.norm.value > passive  # 7.196 and 4.487
     for norm, why in (
         (
-            (vehicle_like := design_for(DesignProblem(plant.measured(Cy), thorough=False))).certificate.norm.value,
+            (vehicle_like := design_for(DesignProblem(plant.measured(Cy), alternatives=False))).certificate.norm.value,
             vehicle_like.instead,
         ),
         ((asked := design_feedback(plant, Cy)).value, asked.why),

@@ -126,8 +126,8 @@ def test_a_limit_on_entries_does_not_end_a_descent():
     x = landscape.point(posed.gain(law))
     start = Candidate(x, landscape.norm(x)[0], "known")
     assert start.norm == pytest.approx(0.1313465, rel=1e-5)  # six digits of the entries
-    further, _ = search.further(posed, 1, start, 100.0, (law, "known"))
-    found = search.certified(further)
+    end = search.further(posed, 1, start, 100.0, search.beyond_rounding(law, "known"))
+    further, found = end.law, search.certified(end.law)
     assert found.failures == ()
     assert found.speed_up <= search.most
     assert found.norm.value < 0.1022
@@ -158,7 +158,7 @@ def test_states_at_zero_that_do_nothing_are_moved(dt):
     still = np.zeros((2, 2)) if dt is None else np.eye(2)
     law = LinearLaw(still, np.zeros((2, 1)), np.ones((1, 2)), -np.eye(1), dt)
     assert search.certified(law).failures
-    moved, certificate = search.beyond_rounding(law)
+    moved, _, certificate = search.beyond_rounding(law, "known")
     assert certificate.failures == ()
     assert certificate.norm.value == pytest.approx(1.01**0.5 / 2, rel=1e-9)  # of u = -x, where a norm stops
     assert search.certified(moved).failures == ()

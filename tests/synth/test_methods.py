@@ -13,6 +13,7 @@ from models.common.errors import InputError
 from models.laws.design_methods import BY_OTHER_KEYS, DESIGNS, METHODS
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import read_vehicle, shipped
+from synth.analysis import stability
 from synth.design import degenerate
 from synth.design.methods import design, method_of
 from synth.design.problem import DesignProblem
@@ -131,3 +132,12 @@ def test_all_else_works_without_a_method(module, tmp_path):
 def test_methods_are_named_by_their_table():
     """At least these files are named by nothing but the table, and can be taken away."""
     assert {name for names in alone().values() for name in names} >= {"descent", "refinement", "mu", "preview"}
+
+
+def test_a_static_problem_is_checked_for_stabilisability_once(monkeypatch):
+    """The modes of a plant are examined once for all methods that its static gain leads to."""
+    calls, examine = list[str](), stability.stabilisability_failures
+    monkeypatch.setattr(stability, "stabilisability_failures", lambda *given: calls.append("") or examine(*given))
+    problem = problem_of()
+    assert design(replace(problem, alternatives=True)).method.startswith("the two steps")
+    assert len(calls) == 1

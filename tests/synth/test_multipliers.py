@@ -10,6 +10,7 @@ from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.uncertainty.multipliers import NEAR, MultiplierInterval, bound_in_band, stable_in_box
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_maximum, search_bound, stable_with_errors
+from synth.lmi.barrier import Barrier
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.support.commands import attacks
@@ -184,3 +185,23 @@ def test_eight_errors_of_a_half_car():
     assert proof is not None
     assert largest <= proof.bound <= 1.01 * largest
     assert stable_in_box(gain, box) is not None
+
+
+def test_limits_on_single_unknowns_are_those_of_a_diagonal_block():
+    """A barrier with many blocks of one row has the derivatives and the rates of the same barrier with one diagonal block."""
+    rng = np.random.default_rng(5)
+    N, k = 12, 20
+    G = rng.standard_normal((N, k, k))
+    large = np.eye(k), (G + G.swapaxes(1, 2)) / 100
+    limits = [(np.ones((1, 1)), sign * np.eye(N)[:, i, None, None]) for i in range(N) for sign in (1, -1)]
+    signs = np.array([F[:, 0, 0] for _, F in limits]).T
+    p, step, c = 0.1 * rng.standard_normal(N), rng.standard_normal(N), rng.standard_normal(N)
+    one, other = (
+        Barrier(blocks).at(p) for blocks in ([large, *limits], [large, (np.eye(2 * N), signs[:, :, None] * np.eye(2 * N))])
+    )
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one.trace, other.trace, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(one.solve(one.half(c)), other.solve(other.half(c)), rtol=1e-9)
+    np.testing.assert_allclose(np.sort(one.rates(step)), np.sort(other.rates(step)), rtol=1e-9, atol=1e-12)
+    assert Barrier([large, *limits]).at(np.full(N, 1.1)) is None

@@ -10,6 +10,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.lower_bound import LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import read_proof, to_record
+from synth.design.feedback import design_feedback
 from synth.design.full_order.riccati import central_law
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
@@ -136,3 +137,21 @@ def test_static_gains_of_the_active_suspension(scenario):
     assert found.certificate.bound is not None
     assert not found.certificate.failures
     assert hinf_norm(plant.closed(static_law(found.gain))).value == found.certificate.norm.value
+
+
+@pytest.mark.parametrize("mode", [1.0, 2.0])
+def test_a_bound_tells_that_w_does_not_act_on_a_mode(mode):
+    """Where noise of y is all of w, zeros alone bound the norm, and the bound names the mode. Else a design meets the bound.
+
+    Of x' = mode x + u, y = x + w and z = u the least norm is 2 mode, the inverse of the largest Hankel singular value.
+    """
+    one, none = np.eye(1), np.zeros((1, 1))
+    quiet = GeneralizedPlant(mode * one, one, none, none, one, none)
+    below = find_lower_bound(quiet, one, Dyw=one)
+    assert below.gamma < mode
+    assert below.reason.startswith(f"w does not act on the mode at {mode:g} 1/s")
+    assert "w does not act" in design_feedback(quiet, one, one, order="full").remark
+    shaken = GeneralizedPlant(mode * one, one, np.array([[0.0, 0.1]]), none, one, np.zeros((1, 2)))
+    met = find_lower_bound(shaken, one, Dyw=np.array([[1.0, 0.0]]))
+    reached = design_feedback(shaken, one, np.array([[1.0, 0.0]]), order="full").certificate.norm.value
+    assert (met.gamma, met.reason) == (pytest.approx(reached, rel=2e-3), "")

@@ -1,14 +1,16 @@
 """`--refine`: descent on the norm from a gain of the LMIs, as far as it is worth a larger gain (`growth.py`)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import brief, digits, percent
+from models.laws.linear import static_law
 from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
 from synth.design.descent.growth import WORTH, grown
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
@@ -99,19 +101,17 @@ def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
     first, size = float(np.abs(start).max()), float(np.abs(x).max())
     # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)
-    own_before, own_after = _own(plant, K), _own(plant, gain)
+    own_before, own_after = own_norm(plant, K), own_norm(plant, gain)
     first_norm, last_norm = (before, norm) if plant.dt is None else (own_before, own_after)
     if np.array_equal(x, start) or own_after > own_before:
         return Refinement(K, first_norm, first_norm, 1.0, refused)
     return Refinement(gain, first_norm, last_norm, size / first if first else 1.0, refused)
 
 
-def _own(plant: Plant, K: Array) -> float:
-    """The norm of a gain's own loop, by both routes."""
-    loop = plant.closed_loop(K @ plant.Cy)
-    if np.any(plant.Dyw):
-        loop = replace(loop, Bw=plant.Bw + plant.B @ K @ plant.Dyw, Dw=plant.Dw + plant.D @ K @ plant.Dyw)
-    return hinf_norm(loop).value
+def own_norm(plant: Plant, K: Array) -> float:
+    """Returns the norm of a gain's own loop by two routes; infinite where the loop is not stable."""
+    loop = plant.closed(static_law(K))
+    return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
 
 @numerics()

@@ -15,10 +15,11 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
-from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.goals import PID
 from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, LawStructure, pid_tables
@@ -58,7 +59,14 @@ SEED = 20261126
 NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
 CAPPED = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
 ONE_STATE = LawStructure(1)
-Start = tuple[LinearLaw, str]
+
+
+class End(NamedTuple):
+    """A law at the end of a search, the start that led to the law, in words, and the certificate."""
+
+    law: LinearLaw
+    origin: str
+    certificate: Certificate
 
 
 @numerics()
@@ -111,10 +119,11 @@ def fixed_order_design(
     counted = bounded_work(plant) if work is None else work
     search = _Search(plant, lower_bound, stable, as_run, counted)
     search.check_stabilisable(structure, states)
-    best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
+    best = search.designed(structure, states, known, on_found)
     stopped = counted.text if counted.over else ""
-    remarks = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
-    return DesignResult(best, search.certified(best), DESCENT, remarks=tuple(text for text in remarks if text), origin=origin)
+    remarks = [_remark(structure, best.law, m, stopped), CAPPED if search.capped else "", stopped]
+    given = best.law, best.certificate, DESCENT
+    return DesignResult(*given, remarks=tuple(text for text in remarks if text), origin=best.origin)
 
 
 def structured(problem: DesignProblem, progress: Progress) -> DesignResult:
@@ -163,7 +172,7 @@ class _Search:
         self.below = lower_bound if lower_bound is not None else find_lower_bound(plant)
         self.stable, self.as_run = stable, as_run
         self.fastest, _ = speed(plant)
-        self.capped, self.work = False, work or Work()
+        self.capped, self.enough, self.work = False, 0.0, work or Work()
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
@@ -183,31 +192,37 @@ class _Search:
         """Returns the certificate of a law."""
         return certify_law(self.plant, law, self.below)
 
-    def designed(self, structure: LawStructure, states: Sequence[str], on_found: Callable[[LinearLaw], None]) -> Start:
-        """Returns the law at the lowest end, and the start that led there; see `fixed_order_design` for `on_found`."""
+    def designed(
+        self,
+        structure: LawStructure,
+        states: Sequence[str],
+        known: Sequence[LinearLaw],
+        on_found: Callable[[LinearLaw], None],
+    ) -> End:
+        """Returns the lowest end; see `fixed_order_design` for the arguments.
+
+        The law of each order is a start of the search for the next order.
+        """
         if structure.kind:
-            return self.of_filters(structure, ())
-        if not structure.order:
-            return self.ended(structure, [], "")
-        reduced = self.full_laws(states, structure.order == len(self.plant.A))
-        one = replace(structure, order=0)
-        found: Start | None = None
-        with contextlib.suppress(DesignError, np.linalg.LinAlgError):
-            found = self.ended(one, [], "a static gain", whole=False, sought=FEW)
-        for order in range(1, structure.order + 1):
+            return self.of_filters(structure, known)
+        if known:
+            return self.ended(structure, [(law, "a known law") for law in known], whole=False, sought=0)
+        order, found = structure.order, None
+        reduced = self.full_laws(states, order == len(self.plant.A)) if order else []
+        for one in (replace(structure, order=k) for k in range(order + 1)):
+            last = one.order == order
             if found is not None:
-                on_found(found[0])
-                if self.work.over or self.reaches(found[0]):
+                on_found(found.law)
+                if self.work.over or found.certificate.norm.value <= self.enough:
                     break
-            if order < structure.order and self.work.done > self.work.limit / 2:
+            if 0 < one.order < order and self.work.done > self.work.limit / 2:
                 continue  # what is left is for the order that is asked
-            one = replace(structure, order=order)
-            starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
+            starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full) if one.order]
             if found is not None:
-                starts += [(law, "a law with one state less") for law in self.appended(one, found[0])]
+                starts += [(law, "a law with one state less") for law in self.appended(one, found.law)]
+            sought = MOST if last and found is None else 0 if one.order else FEW
             with contextlib.suppress(DesignError, np.linalg.LinAlgError):
-                last = order == structure.order
-                found = self.ended(one, starts, "", whole=last, sought=MOST if last and found is None else 0)
+                found = self.ended(one, starts, "" if one.order or last else "a static gain", last, sought)
         if found is None:
             raise DesignError(self.no_law)
         return found
@@ -217,13 +232,7 @@ class _Search:
         """Why there is no law, in words."""
         return f"{NO_LAW}; {self.work.text}" if self.work.over else NO_LAW
 
-    def kept(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
-        """Returns the law at the lowest end of the descents from known laws."""
-        if structure.kind:
-            return self.of_filters(structure, known)
-        return self.ended(structure, [(law, "a known law") for law in known], "", whole=False, sought=0)
-
-    def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
+    def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> End:
         """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.
 
         Without that the integral's gain would often tend to zero: a norm at all frequencies does not ask for it.
@@ -239,12 +248,12 @@ class _Search:
             tolerance=GainErrors(np.zeros(shape[1]), np.zeros(shape[0])),
             structure=posed.free,
         )
-        law, certificate = self.beyond_rounding(
-            posed.law(multi_objective_design(problem, [posed.gain(law) for law in known]).gain)
-        )
-        if certificate.failures:
-            raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        return law, "many starts, ended before the gain grows too much; the loop keeps a tenth of the decay of its start"
+        gain = multi_objective_design(problem, [posed.gain(law) for law in known]).gain
+        origin = "many starts, ended before the gain grows too much; the loop keeps a tenth of the decay of its start"
+        end = self.beyond_rounding(posed.law(gain), origin)
+        if end.certificate.failures:
+            raise DesignError(f"its certificate fails: {'; '.join(end.certificate.failures)}")
+        return end
 
     def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
         """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.
@@ -261,7 +270,8 @@ class _Search:
                 gamma = riccati.smallest(share, gamma)
                 if gamma < LARGEST:
                     some = [riccati.traded(share, gamma * (1 + margin)) for margin in MARGINS]
-                    laws += [self.own(each.law, image) for each in some if each is not None]
+                    laws += [each.law for each in some if each is not None]
+        laws = laws if self.plant.dt is None else [discrete_law(law, *image, self.plant.dt) for law in laws]
         if best:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 most = self.most if self.plant.dt is None else np.inf
@@ -269,27 +279,16 @@ class _Search:
                 laws.append(full_order_design(*given).law)
         return laws
 
-    def own(self, law: LinearLaw, image: tuple[Plant, Array]) -> LinearLaw:
-        """Returns the law of the plant whose image on the result of `mapped` is given."""
-        return law if self.plant.dt is None else discrete_law(law, *image, self.plant.dt)
-
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
         """Returns laws of a structure by reduction of a full-order law, separately for each force with a law of its own."""
         reduce = partial(reductions, self.plant)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
-        m, rows = len(full.D), np.array(structure.rows, dtype=float)
-        each = [
-            [
-                self.filled(replace(structure, rows=None), law)[0]
-                for law in reduce(
-                    replace(full.only(np.arange(m) == i), B=full.B * rows[i], D=full.D * np.outer(np.arange(m) == i, rows[i])),
-                    structure.order,
-                )
-            ]
-            for i in range(m)
-        ]
-        return [_beside(laws) for laws in zip(*each, strict=False)]
+        each = list[list[LinearLaw]]()
+        for force, read in zip(np.eye(len(full.D)), np.array(structure.rows, dtype=float), strict=True):
+            alone = replace(full.only(force > 0), B=full.B * read, D=full.D * np.outer(force, read))
+            each.append([self.filled(replace(structure, rows=None), law)[0] for law in reduce(alone, structure.order)])
+        return [_sum(laws) for laws in zip(*each, strict=False)]
 
     def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
         """Returns laws of a structure from one of as many states or fewer, as a law of full order that needs none has."""
@@ -297,55 +296,39 @@ class _Search:
 
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
         """Returns laws of the same loop with further states, which read what is measured and do not act."""
-        (m, q), rows = law.D.shape, structure.rows
+        (m, q), rows, dt = law.D.shape, structure.rows, self.plant.dt
         count = m if rows is not None else 1
-        generator, dt = np.random.default_rng(SEED), self.plant.dt
+        size = law.states // count
         sizes = np.maximum(np.linalg.norm(self.plant.Cy, axis=1), 1e-300)
-        read = READS * self.fastest * generator.standard_normal((count, q)) / sizes
+        read = READS * self.fastest * np.random.default_rng(SEED).standard_normal((count, q)) / sizes
         read = read * (np.array(rows, dtype=float) if rows is not None else 1.0)
-        laws = []
-        for part in POLES:
-            rate = part * self.fastest
+        more, laws = structure.order - size, list[LinearLaw]()
+        for rate in self.fastest * np.array(POLES):
             pole, into = (-rate, read) if dt is None else (np.exp(-rate * dt), dt * read)
-            more = structure.order - law.states // count
-            A, B, C = [], [], []
+            each = list[LinearLaw]()
             for i in range(count):
-                own = slice(i * (law.states // count), (i + 1) * (law.states // count))
-                size = law.states // count
-                A.append(np.block([[law.A[own, own], np.zeros((size, more))], [np.zeros((more, size)), pole * np.eye(more)]]))
-                B.append(np.vstack([law.B[own], np.repeat(into[i : i + 1], more, axis=0)]))
-                C.append(np.hstack([law.C[:, own], np.zeros((m, more))]))
-            whole = np.zeros((count * structure.order,) * 2)
-            for i, block in enumerate(A):
-                at = slice(i * structure.order, (i + 1) * structure.order)
-                whole[at, at] = block
-            laws.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
+                own = slice(i * size, (i + 1) * size)
+                A = np.asarray(linalg.block_diag(law.A[own, own], pole * np.eye(more)))
+                B, C = np.vstack([law.B[own], np.tile(into[i], (more, 1))]), np.hstack([law.C[:, own], np.zeros((m, more))])
+                each.append(LinearLaw(A, B, C, law.D * (i == 0), dt))
+            laws.append(_sum(each))
         return laws
-
-    def reaches(self, law: LinearLaw) -> bool:
-        """Returns True if a law is next to what no controller beats, by the search's own measure."""
-        posed = structured_gain(LawStructure(law.states), self.plant)
-        search = self.of(posed, law.states, LIMITS[0])
-        x = search.landscape.point(posed.gain(law))
-        return search.reached(Candidate(x, search.landscape.norm(x)[0], ""))
 
     def of(self, posed: StructuredGain, states: int, limit: float) -> GainSearch:
         """The search for a static gain that is a law of so many states."""
-        search = GainSearch(
-            posed.plant,
-            1.0,
-            self.below.gamma,
-            posed.free,
-            partial(in_equal_units, states=states),
-            WITHIN,
-            work=self.work,
-        )
-        search.limit = np.full(len(search.limit), limit)
+        alike = partial(in_equal_units, states=states)
+        search = GainSearch(posed.plant, 1.0, self.below.gamma, posed.free, alike, WITHIN, work=self.work)
+        search.limit, self.enough = np.full(len(search.limit), limit), search.enough
         return search
 
     def ended(
-        self, structure: LawStructure, starts: Sequence[Start], origin: str, whole: bool = True, sought: int = MOST
-    ) -> Start:
+        self,
+        structure: LawStructure,
+        starts: Sequence[tuple[LinearLaw, str]],
+        origin: str = "",
+        whole: bool = True,
+        sought: int = 0,
+    ) -> End:
         """Returns the law at the lowest end, not too fast if may be.
 
         Args:
@@ -360,7 +343,7 @@ class _Search:
         posed = structured_gain(structure, self.plant)
         states = len(posed.plant.A) - len(self.plant.A) if posed.filters is None else 0
         starts = [(each, name) for law, name in starts for each in self.filled(structure, law)]
-        slowest: tuple[float, Start] | None = None
+        slowest: End | None = None
         for limit in LIMITS:
             search = self.of(posed, states, limit)
             points = [(search.landscape.point(posed.gain(law)), name) for law, name in starts]
@@ -376,19 +359,18 @@ class _Search:
                 law = self.made_stable(posed, [law, *(posed.law(search.landscape.gain(each.x)) for each in candidates)])
                 if law is None:
                     continue
-            law, certificate = self.beyond_rounding(law)
-            if certificate.failures:
+            end = self.beyond_rounding(law, origin or best.origin)
+            if end.certificate.failures:
                 continue
-            fast, end = certificate.speed_up, (law, origin or best.origin)
-            if fast <= self.most:
+            if end.certificate.speed_up <= self.most:
                 at_limit = whole and not search.reached(best) and bool(np.any(np.abs(best.x) >= AT_LIMIT * limit))
                 return self.further(posed, states, best, limit, end) if at_limit else end
-            slowest = min([slowest, (fast, end)] if slowest else [(fast, end)], key=lambda each: each[0])
+            slowest = end if slowest is None else min(slowest, end, key=lambda each: each.certificate.speed_up)
         if slowest is None:
             raise DesignError(self.no_law)
-        return slowest[1]
+        return slowest
 
-    def further(self, posed: StructuredGain, states: int, best: Candidate, limit: float, end: Start) -> Start:
+    def further(self, posed: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
         """Returns the law of a descent beyond the limit on entries that one stopped at, if it is lower and not too fast.
 
         A pole of a chain of integrators moves as a root of the entry, so that larger entries need not make it too fast.
@@ -396,25 +378,24 @@ class _Search:
         for wider in WIDER:
             search = self.of(posed, states, wider * limit)
             moved = search.step(best, CONVERGED)
-            law, certificate = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)))
-            lower = moved.norm < best.norm * (1 - WITHIN) and not certificate.failures and certificate.speed_up <= self.most
-            if lower and not (self.stable and self.as_run(law).growth):
+            wide = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)), end.origin)
+            lower = moved.norm < best.norm * (1 - WITHIN) and not wide.certificate.failures
+            if lower and wide.certificate.speed_up <= self.most and not (self.stable and self.as_run(wide.law).growth):
                 self.capped = bool(np.any(np.abs(moved.x) >= AT_LIMIT * wider * limit))
-                return law, end[1]
+                return wide
         self.capped = True
         return end
 
-    def beyond_rounding(self, law: LinearLaw) -> tuple[LinearLaw, Certificate]:
-        """Returns a law and its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""
-        certificate = self.certified(law)
-        for shift in SHIFTS * bool(law.states and np.any(certificate.stability.on_axis)):
+    def beyond_rounding(self, law: LinearLaw, origin: str) -> End:
+        """Returns a law with its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""
+        end = End(law, origin, self.certified(law))
+        for shift in SHIFTS * bool(law.states and np.any(end.certificate.stability.on_axis)):
             rate, dt = shift * self.fastest, self.plant.dt
-            A = law.A - rate * np.eye(law.states) if dt is None else np.exp(-rate * dt) * law.A
-            moved = replace(law, A=A)
+            moved = replace(law, A=law.A - rate * np.eye(law.states) if dt is None else np.exp(-rate * dt) * law.A)
             there = self.certified(moved)
-            if not there.failures and there.norm.value <= certificate.norm.value * (1 + WITHIN):
-                return moved, there
-        return law, certificate
+            if not there.failures and there.norm.value <= end.certificate.norm.value * (1 + WITHIN):
+                return End(moved, origin, there)
+        return end
 
     def made_stable(self, posed: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
         """Returns the best law that is stable by itself, by descent from those of these that are; None if none is."""
@@ -432,14 +413,7 @@ class _Search:
         return min(ends, key=lambda each: each[0])[1] if ends else None
 
 
-def _beside(laws: Sequence[LinearLaw]) -> LinearLaw:
-    """The sum of laws, each with states of its own."""
-    from scipy import linalg
-
-    return LinearLaw(
-        np.asarray(linalg.block_diag(*(law.A for law in laws))),
-        np.vstack([law.B for law in laws]),
-        np.hstack([law.C for law in laws]),
-        np.sum([law.D for law in laws], axis=0),
-        laws[0].sample_period,
-    )
+def _sum(laws: Sequence[LinearLaw]) -> LinearLaw:
+    """Returns the sum of laws, each with states of its own."""
+    A, D = np.asarray(linalg.block_diag(*(law.A for law in laws))), np.sum([law.D for law in laws], axis=0)
+    return LinearLaw(A, np.vstack([law.B for law in laws]), np.hstack([law.C for law in laws]), D, laws[0].sample_period)

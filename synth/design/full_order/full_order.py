@@ -201,7 +201,7 @@ def full_order_design(
         certificate = certify_law(plant, law, below)
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        said = [_remark(reduced, trade, below.gamma), _speed(reduced, trade) if plant.dt is None else ""]
+        said = [_remark(reduced, trade, below), _speed(reduced, trade) if plant.dt is None else ""]
         remarks = tuple(text for text in said if text)
         return DesignResult(law, certificate, RICCATI, remarks=remarks, trade=tuple(trade))
 
@@ -296,11 +296,13 @@ def _slowest(law: LinearLaw) -> float:
     return float(poles.real.max()) if law.sample_period is None else float(np.log(np.abs(poles).max()) / law.sample_period)
 
 
-def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -> str:
+def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], below: LowerBound) -> str:
     """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
+    bound = below.gamma
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
     above = f"the norm is {percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"
+    above += f" ({below.reason})" if below.reason else ""
     least = min((each.norm for each in trade), default=best.norm) * (1 + WITHIN)
     if best.norm <= least:
         return f"{above}: no faster controller that was tried comes closer; the bound may be out of reach"

@@ -19,8 +19,9 @@ not believed. The number of unknowns grows with the number of errors, not with t
 tight for constant errors. An X that all corners share (`worst_case.py`) is also valid for errors that change with time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -77,23 +78,25 @@ class MultiplierForm:
         loop: the loop.
         D, G: diagonals, shapes (k,).
         square: gamma^2; no matter without w and z.
+        of_errors: the square of 1 / |delta_k|, the largest size of an error.
     """
 
     loop: StructuredLoop
     D: Array
     G: Array
     square: float
+    of_errors: float = 1.0
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
         """Returns W, L and R of the form [T; I]* [W, L; L*, R] [T; I]: diagonals of W and R, and L, shape (d + k, r + k)."""
         (rows, columns), k = self.loop.loop.Dw.shape, self.loop.errors
-        L = np.zeros((rows, columns), dtype=complex)
-        L[np.arange(rows - k, rows), np.arange(columns - k, columns)] = -1j * self.G
+        L = np.zeros((rows, columns), dtype=complex if np.any(self.G) else float)
+        L[np.arange(rows - k, rows), np.arange(columns - k, columns)] = -1j * self.G if np.any(self.G) else 0.0
         return (
             np.append(np.ones(rows - k), self.D),
             L,
-            (EXACT - 1) * np.append(np.full(columns - k, self.square), self.D),
+            (EXACT - 1) * np.append(np.full(columns - k, self.square), self.of_errors * self.D),
         )
 
     def at(self, T: Array) -> Array:
@@ -117,7 +120,7 @@ class MultiplierForm:
         into = D.T @ (W[:, None] * C) + L.conj().T @ C
         closing = np.linalg.solve(D.T @ rest + L.conj().T @ D + np.diag(R), np.hstack([into, B.T]))
         n = len(A)
-        H = np.zeros((2 * n, 2 * n), dtype=complex)
+        H = np.zeros((2 * n, 2 * n), dtype=L.dtype)
         H[:n, :n], H[n:, :n], H[n:, n:] = A, -C.T @ (W[:, None] * C), -A.T
         H -= np.vstack([B, -C.T @ rest]) @ closing
         omega = np.linalg.eigvals(H).imag
@@ -157,6 +160,12 @@ class MultiplierInterval(NamedTuple):
     G: Array
 
 
+def fill(parts: Sequence[MultiplierInterval], low: float, high: float) -> bool:
+    """Returns True if intervals fill a band without a gap."""
+    ends = [low, *(part.high for part in parts)]
+    return bool(parts) and not any(part.low > end for part, end in zip(parts, ends, strict=False)) and ends[-1] >= high
+
+
 @dataclass(frozen=True, eq=False)
 class MultiplierProof:
     """A proof for all loops of a box, by intervals that fill a band. At all frequencies it includes their stability.
@@ -176,10 +185,12 @@ class MultiplierProof:
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if the parts prove the bound for all loops of a box, stable or not; or else their stability."""
-        ends, whole = [self.low, *(part.high for part in self.parts)], (self.low, self.high) == (0.0, np.inf)
-        if not self.parts or any(part.low > end for part, end in zip(self.parts, ends, strict=False)) or ends[-1] < self.high:
-            return False
-        if not gain.well_posed(box) or any(not np.all(part.D > 0) for part in self.parts):
+        whole = (self.low, self.high) == (0.0, np.inf)
+        if (
+            not fill(self.parts, self.low, self.high)
+            or not gain.well_posed(box)
+            or any(not np.all(part.D > 0) for part in self.parts)
+        ):
             return False
         loop = cut_loop(gain, box)
         if (whole and not is_stable(loop.loop.A)) or (np.isinf(self.bound) and not whole):
@@ -234,6 +245,45 @@ def stable_in_box(gain: ScaledGain, box: Box) -> MultiplierProof | None:
     return proof if proof.holds(gain, box) else None
 
 
+def cover(
+    parts: list[MultiplierInterval],
+    band: tuple[float, float],
+    step: float,
+    multipliers: Callable[[float], tuple[float, Array | None]],
+    form: Callable[[Array], MultiplierForm],
+    most: int = MOST_PARTS,
+) -> tuple[float, float] | None:
+    """Adds intervals that prove a bound, to those that prove a lower one, until they fill a band, and returns None.
+
+    At a frequency where the least bound is higher, it returns that bound and the frequency; without a bound, or beyond so many
+    intervals, infinity.
+
+    Args:
+        parts: intervals, ascending from the lower end of the band.
+        step: length of the first interval that is tried [rad/s].
+        multipliers: returns the least bound at a frequency, and [D, G] if the bound is low enough.
+        form: returns the form of [D, G] that must be negative.
+    """
+    low, high = band
+    here = parts[-1].high if parts else low
+    while len(parts) < most:
+        if here >= high:
+            return None
+        ahead = min(here + step, high)
+        for at in (ahead, (here + ahead) / 2, here + (ahead - here) / 8, here):
+            least, found = multipliers(at)
+            if found is None:
+                return least, at
+            if at == here or form(found).negative(here, at):
+                break
+        end = min(form(found).reach(at), high)
+        if not end > here * (1 + SHORTEST):
+            return np.inf, here
+        parts.append(MultiplierInterval(here, end, *np.split(found, 2)))
+        here, step = end, 2 * max(at - here, (end - here) / 2) if np.isfinite(end) else 1.0
+    return np.inf, here
+
+
 class _Search:
     """The search for multipliers of a loop."""
 
@@ -243,30 +293,15 @@ class _Search:
         self.fastest = float(np.abs(np.linalg.eigvals(loop.loop.A)).max())
 
     def cover(self, parts: list[MultiplierInterval], low: float, high: float, gamma: float) -> float | None:
-        """Adds intervals that prove a bound, to those that prove a lower one, until they fill a band, and returns None.
+        """Returns None once intervals that prove a bound fill a band, else the bound that a frequency needs; see `cover`."""
+        step = max(parts[-1].high if parts else low, low, self.fastest / 100) / 4
+        higher = cover(parts, (low, high), step, partial(self.multipliers, gamma=gamma), partial(self.form, gamma=gamma))
+        return None if higher is None else higher[0]
 
-        At a frequency where the least bound is higher, it returns that; without any, or beyond so many intervals, infinity.
-        """
-        here = parts[-1].high if parts else low
-        step = max(here, low, self.fastest / 100) / 4
-        while len(parts) < MOST_PARTS:
-            if here >= high:
-                return None
-            ahead = min(here + step, high)
-            for at in (ahead, (here + ahead) / 2, here + (ahead - here) / 8, here):
-                least, found = self.multipliers(at, gamma)
-                if found is None:
-                    return least
-                D, G = np.split(found, 2)
-                form = MultiplierForm(self.loop, D, G, gamma**2)
-                if at == here or form.negative(here, at):
-                    break
-            end = min(form.reach(at), high)
-            if not end > here * (1 + SHORTEST):
-                return np.inf
-            parts.append(MultiplierInterval(here, end, D, G))
-            here, step = end, 2 * max(at - here, (end - here) / 2) if np.isfinite(end) else 1.0
-        return np.inf
+    def form(self, found: Array, gamma: float) -> MultiplierForm:
+        """Returns the form of [D, G]."""
+        D, G = np.split(found, 2)
+        return MultiplierForm(self.loop, D, G, gamma**2)
 
     def multipliers(self, omega: float, gamma: float) -> tuple[float, Array | None]:
         """Returns a bound, and [D, G] in the middle of those that prove a given one at a frequency; see `_multipliers`."""
@@ -307,11 +342,9 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         row[r + i] = -1j * T[d + i]
         F[k + i] = row + row.conj().T
     F0 = -T[:d].conj().T @ T[:d]
-    bounds = list[Block]()
-    for first, sign, most in ((0, 1, 0.0), (0, -1, LARGEST), (k, 1, LARGEST), (k, -1, LARGEST)):  # of D and G
-        limits = np.zeros((N, k, k))
-        limits[first + np.arange(k), np.arange(k), np.arange(k)] = sign
-        bounds.append((most * np.eye(k), limits))
+    one, each = np.ones((1, 1)), np.eye(N)[:, :, None, None]
+    bounds = [(0 * one, each[i]) for i in range(k)]  # of D and G
+    bounds += [(LARGEST * one, sign * each[i]) for i in range(2 * k) for sign in ((-1, 1) if i >= k else (-1,))]
     # First without w and z.
     own = F[:, r:, r:].copy()
     own[-1] = np.eye(k)

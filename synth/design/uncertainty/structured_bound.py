@@ -4,25 +4,23 @@ For errors Delta, a full block from z to w among them, mu(M) <= |D M D^-1| for a
 Packard, Doyle 1993, The complex structured singular value, Automatica 29). Errors of size below 1 / mu leave a loop stable. With
 the performance block, mu <= gamma also bounds the norm from w to z by gamma, for all errors of size 1 / gamma.
 
-The proof divides the frequencies into intervals, each with constant scales. Within an interval the level sets of the scaled loop
-show that no frequency exceeds gamma, as in `analysis/band_norm.py`. So nothing is sampled, and the search for scales is not
-believed. With scales that are best at one frequency, an interval reaches to the next crossings of the level on either side; so
-does the next one, from its end. Where no scales are below the level, the level is too low, and that frequency is a higher peak.
+The proof is that of `multipliers.py` for errors of size 1 / gamma, with D the squares of the scales and G = 0, as errors that
+change with frequency have a phase. Where no scales are below the level, the level is too low, and that frequency is a higher
+peak.
 
 The largest singular value is convex in the logarithms of the scales. Its Schatten norm is smooth, likewise convex, and tends to
 it.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
 
 from models.common.arrays import Array
-from synth.analysis.band_norm import exceeds
-from synth.analysis.norm import Gain, largest_singular_values, level_crossings
+from synth.analysis.norm import Gain, largest_singular_values
 from synth.analysis.stability import is_stable
+from synth.design.uncertainty.multipliers import MultiplierForm, MultiplierInterval, cover, fill
 from synth.design.uncertainty.structured_loop import StructuredLoop
 
 NEAR = 5e-4  # relative; how far the bound lies above the best scales' peak
@@ -30,7 +28,6 @@ EXACT = 1e-6  # relative; what is proved lies this far above the level of the se
 POWERS = (64, 4096)  # of Schatten norms, one after the other
 ALONE = 1e-6  # share of the other singular values in a Schatten norm, which then is the largest one and has its minimum
 FURTHEST = 16.0  # of the logarithm of a scale, from the loop's own units
-AHEAD = 4  # frequencies tried ahead of an interval's end, before the end itself
 EASY = 0.9  # of the level; scales below that are not bettered
 MOST_STEPS = 60  # with one Schatten norm
 CLOSE = 1e-7  # of the logarithm of a single scale
@@ -38,14 +35,6 @@ TRIED = 4  # peaks of the loop in its units that are climbed first
 WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7  # relative; of steps in frequency to a peak, and of the rise that is worth one
 SMALLEST = 1e-12  # bound; a loop that does not reach its errors has mu = 0
 MOST_PARTS, MOST_PEAKS = 2000, 60
-
-
-class Part(NamedTuple):
-    """An interval of frequencies [rad/s] with its scales, shape (k,)."""
-
-    low: float
-    high: float
-    scales: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +49,18 @@ class StructuredBound:
 
     gamma: float
     peak_frequency: float
-    parts: tuple[Part, ...]
+    parts: tuple[MultiplierInterval, ...]
 
     def holds(self, structured: StructuredLoop) -> bool:
         """Returns True if the parts prove the bound for a loop, by level sets of each."""
-        ends = [0.0, *(part.high for part in self.parts)]
-        if not self.parts or ends[-1] != np.inf or any(part.low > end for part, end in zip(self.parts, ends, strict=False)):
+        if not fill(self.parts, 0.0, np.inf) or not is_stable(structured.loop.A):
             return False
-        if not is_stable(structured.loop.A):
-            return False
-        return not any(exceeds(Gain(structured.scaled(scales), low, high), self.gamma) for low, high, scales in self.parts)
+        return all(_form(structured, self.gamma, part.D).negative(part.low, part.high) for part in self.parts)
+
+
+def _form(structured: StructuredLoop, gamma: float, D: Array) -> MultiplierForm:
+    """Returns the form that is negative where squares of scales D prove a bound."""
+    return MultiplierForm(structured, D, np.zeros_like(D), gamma**2, gamma**2)
 
 
 def structured_bound(structured: StructuredLoop) -> StructuredBound:
@@ -78,12 +69,23 @@ def structured_bound(structured: StructuredLoop) -> StructuredBound:
         return StructuredBound(np.inf, np.nan, ())
     search = _Search(structured)
     peak, at = max((SMALLEST, 0.0), *(search.climb(omega) for omega in search.first))
-    parts: list[Part] = []
+    parts: list[MultiplierInterval] = []
     for _ in range(MOST_PEAKS):
-        higher = search.cover(parts, peak * (1 + NEAR))
+        level = peak * (1 + NEAR)
+        gamma = level * (1 + EXACT)
+
+        def squares(omega: float, level: float = level) -> tuple[float, Array | None]:
+            value, scales = search.scales(omega, EASY * level)
+            return value, np.append(scales**2, np.zeros_like(scales)) if value < level else None
+
+        def form(found: Array, gamma: float = gamma) -> MultiplierForm:
+            return _form(structured, gamma, found[: structured.errors])
+
+        step = parts[-1].high - parts[-1].low if parts else structured.grid[0]
+        higher = cover(parts, (0.0, np.inf), step, squares, form, MOST_PARTS)
         if higher is None:
-            return StructuredBound(peak * (1 + NEAR) * (1 + EXACT), at, tuple(parts))
-        peak, at = max((peak * (1 + NEAR), at), search.climb(higher))
+            return StructuredBound(gamma, at, tuple(parts))
+        peak, at = max((level, at), search.climb(higher[1]))
     return StructuredBound(np.inf, at, ())
 
 
@@ -170,48 +172,3 @@ class _Search:
             else:
                 width /= 3
         return best
-
-    def cover(self, parts: list[Part], level: float) -> float | None:
-        """Adds intervals that prove a level, to those that prove a lower one, until there are all. Returns None.
-
-        Or it returns the frequency where no scales are below the level.
-        """
-        here = parts[-1].high if parts else 0.0
-        step = here - parts[-1].low if parts else self.structured.grid[0]
-        while len(parts) < MOST_PARTS:
-            for k in range(AHEAD, -1, -1):
-                c = here + step * (k / AHEAD) ** 2
-                value, scales = self.scales(c, EASY * level)
-                if value >= level:
-                    return c
-                low, high = _interval(Gain(self.structured.scaled(scales)), level, c)
-                if low <= here < high:
-                    break
-            else:
-                return here
-            parts.append(Part(here, high, scales))
-            if high == np.inf:
-                return None
-            here, step = high, max(high - here, 1e-9 * high)
-        return here
-
-
-def _interval(gain: Gain, level: float, omega: float) -> tuple[float, float]:
-    """Returns the interval around a frequency within which the gain does not exceed a level [rad/s].
-
-    The gain at the frequency is below the level. Between two crossings the gain lies above the level everywhere or nowhere.
-    """
-    crossings = level_crossings(gain.system, level)
-    last = max(2 * crossings[-1], 2 * omega)
-    ends = np.append(crossings, last)
-    below = gain.at((ends[:-1] + ends[1:]) / 2) <= level
-    below[-1] &= gain.at_infinity <= level
-    i = int(np.searchsorted(crossings, omega, side="right")) - 1
-    first = after = i
-    while first > 0 and below[first - 1]:
-        first -= 1
-    while after + 1 < len(below) and below[after + 1]:
-        after += 1
-    unbounded = after + 1 == len(below) and gain.at_infinity <= level
-    high = np.inf if unbounded else float(crossings[after + 1]) if after + 1 < len(below) else omega
-    return float(crossings[first]), high

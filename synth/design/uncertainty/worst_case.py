@@ -260,13 +260,19 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
     """Returns the proof of a given bound, by an X for each part of the box or by multipliers; stores larger norms on the way.
 
     Args:
-        patience: number of attempts to find an X, relative to the usual number; one for many errors.
+        patience: number of attempts to find an X, relative to the usual number; one for many errors. If it is below 1, the search
+            for many errors tries multipliers first.
     """
-    trials = int(patience * _trials(heights)) if len(box.uncertain) <= MANY else 1
-    parts, _ = _filled(heights, [(box, None)], lambda: bound, trials)
-    if parts is not None:
-        return _proof(parts, bound)
-    return bound_in_band(heights.gain, box, 0.0, np.inf, bound, tries=1) if heights.highest < bound else None
+    many = len(box.uncertain) > MANY
+
+    def common() -> Proof | None:
+        parts, _ = _filled(heights, [(box, None)], lambda: bound, 1 if many else int(patience * _trials(heights)))
+        return _proof(parts, bound) if parts is not None else None
+
+    def multipliers() -> Proof | None:
+        return bound_in_band(heights.gain, box, 0.0, np.inf, bound, tries=1) if heights.highest < bound else None
+
+    return multipliers() or common() if many and patience < 1 else common() or multipliers()
 
 
 def stable_with_errors(plant: Plant, K: Array | LinearLaw, d: Array, e: Array) -> Proof | None:
