@@ -151,7 +151,8 @@ linear responses                                                778    411      
 runs, verdict, their text                                      2934   1061     60
     sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
-    tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py docs/explanation/{agrees-and-ended,not-modelled}.md
+    tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
+    docs/explanation/{agrees-and-ended,not-modelled}.md
 commands that drive                                            1116   1006    406
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
