@@ -226,6 +226,10 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[actuators]"] = section_keys(ActuatorSection)
     sections["[payload]"] = section_keys(PayloadSection)
     sections["[seat]"] = section_keys(Seat)
+    sections["[start]"] = [
+        ("height", "m", "height by which the whole vehicle is lifted above the road at the start of a run"),
+        ("a state, such as suspension_deflection", "SI", "value of this state of the linear model at the start of a run"),
+    ]
     sections["[parts.NAME]"] = section_keys(Place)
     sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)

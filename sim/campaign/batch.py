@@ -17,7 +17,7 @@ from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGED, Block
 from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
 from sim.linear.dampers import is_linear
-from sim.observers.ends import End, Ends
+from sim.observers.ends import Ends, RunEnd
 from sim.observers.steps import WHEN
 from sim.observers.twin import Twin
 from sim.studies.ride.expected import expect, settled
@@ -79,7 +79,8 @@ class RowObserver:
 
         first = campaign.first if random else 0
         self._meter, self._ends = meter(first), Ends(batch)
-        self._twin = Twin(batch, self._ends, None if random else meter(first)) if _is_exact(runs) else None
+        self._linear = meter(first) if _is_exact(runs) and not random else None
+        self._twin = Twin(batch, self._ends, self._linear) if _is_exact(runs) else None
 
     def take(self, block: Block) -> None:
         """Takes the next block."""
@@ -88,11 +89,11 @@ class RowObserver:
         if self._twin is not None:
             self._twin.take(block)
 
-    def result(self) -> list[tuple[End, dict[str, Any]]]:
+    def result(self) -> list[tuple[RunEnd, dict[str, Any]]]:
         """Returns the end of each run's linear regime, and its measured columns."""
         ends, measured = self._ends.result(), self._meter.result()
-        if self._twin is not None and self._twin.meter is not None:
-            measured |= {f"{LINEAR}{name}": each for name, each in self._twin.meter.result().items()}
+        if self._linear is not None:
+            measured |= {f"{LINEAR}{name}": each for name, each in self._linear.result().items()}
         errors = [math.nan] * len(ends) if self._twin is None else self._twin.result()
         rows = [{name: finite(values[i]) for name, values in measured.items()} for i in range(len(ends))]
         return [
@@ -128,7 +129,7 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
     return rows, [i for i, failure in failures.items() if failure.together]
 
 
-def end_columns(end: End) -> dict[str, Any]:
+def end_columns(end: RunEnd) -> dict[str, Any]:
     """Returns why a run broke off, or None, and when and how its linear regime ended."""
     reason = None
     if end.broke_off == FLAT.name:

@@ -76,7 +76,7 @@ class Actuators:
         """Multiplies the closing velocities of dampers, which are at the ratios at rest, shape (N, m), by r(d) / r(0), in place.
 
         Args:
-            deflections: of all suspensions [m], shape (N, s).
+            deflections: deflections of all suspensions [m], shape (N, s).
         """
         if self._of is not None:
             closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)

@@ -42,6 +42,7 @@ class Case:
         start: state at the start; None for rest, or for the steady motion in which a measured road starts.
         undelayed: second controller without `[implementation]`, whose forces are added to those of the first; None without one.
         earlier: see `RoadInput`.
+        input: the road at the sample times, if it is computed already; None otherwise.
     """
 
     vehicle: Vehicle
@@ -50,15 +51,16 @@ class Case:
     start: State | None = None
     undelayed: Controller | None = None
     earlier: bool = False
+    input: RoadInput | None = None
 
 
 def inputs_of(cases: Sequence[Case], time: Array) -> list[RoadInput]:
     """Returns the roads of some cases at sample times [s], one for all cases with the same vehicle and road."""
-    made: dict[tuple[int, int, bool], RoadInput] = {}
+    made = dict[tuple[int, int, bool], RoadInput]()
     for one in cases:
         key = id(one.vehicle), id(one.road), one.earlier
         made[key] = made.get(key) or RoadInput(one.vehicle, one.road, time, one.earlier)
-    return [made[id(one.vehicle), id(one.road), one.earlier] for one in cases]
+    return [one.input or made[id(one.vehicle), id(one.road), one.earlier] for one in cases]
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,11 +88,12 @@ class Computer:
             commands: commands of all runs of the batch, shape (N, size), which change in place.
         """
         for i, number in enumerate(np.arange(len(commands))[self.runs].tolist()):
-            state, forces = starts.get(number, ((), ()))
-            self._state[i, : len(state)] = state
-            if len(forces):
-                self._waiting[-len(forces) :, i] = forces  # before sample 0
-                commands[number] = forces[0]
+            if number in starts:
+                state, forces = starts[number]
+                self._state[i, : len(state)] = state
+                if len(forces):
+                    self._waiting[-len(forces) :, i] = forces  # before sample 0
+                    commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""

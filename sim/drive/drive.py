@@ -29,7 +29,7 @@ FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread a
 
 
 class Observer(Protocol):
-    """What takes the samples of a batch. It is made with the `Batch`."""
+    """Object that takes the samples of a batch; a function makes it from the `Batch`."""
 
     def take(self, block: Block) -> None:
         """Takes the next block of samples."""
@@ -60,7 +60,7 @@ def drive(
         time: equidistant sample times from 0 [s], shape (T,).
         observers: functions that make an observer of a batch, such as the classes in `sim.observers`.
         threads: largest number of threads, with `FEWEST` runs or more each; results do not depend on it. 0 means one per core.
-        streamed: True for blocks of `BLOCK` samples, of which no road is kept whole; False for a single block.
+        streamed: True for blocks of `BLOCK` samples, without keeping roads whole; False for a single block.
         failures: receives the failure of a law in Python by the number of its case, whose run goes on without forces; None to
             raise the first one.
         stopped: function that returns True to end the runs; called from time to time.

@@ -91,7 +91,7 @@ class Block:
         return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
 
     def clip(self, gone: Array) -> None:
-        """Clips values at the samples of a mask, shape (B, N), to `DIVERGED`, in place; what is no number becomes 0."""
+        """Clips values at the samples of a mask, shape (B, N), to `DIVERGED`, in place, and replaces NaN by 0."""
         runs = gone.any(axis=0)
         values = self.values[..., runs]
         finite = np.clip(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), -DIVERGED, DIVERGED)
@@ -353,7 +353,7 @@ class _Signals:
 
         Args:
             sensed: MuJoCo's `sensordata`, shape (B, nsensordata, N).
-            readings: what measurements are mapped from, shape (B, N, w); its last k columns are the own states of parts.
+            readings: values that measurements are mapped from, shape (B, N, w); the last k columns are the own states of parts.
             level, midway, before: road heights at the samples, during the steps from them and the steps to them, shape (B, N, r).
         """
         readout, place, inside = self.readout, self.place, self.inside

@@ -1,4 +1,4 @@
-"""Ends: when and how the linear regime of each run ends, and what broke it off."""
+"""Observer of the ends of linear regimes: their times, and events that break runs off."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from sim.drive.regime import DIVERGENCE, END_NAMES, FLAT, LAW_OVERFLOW, REGIME_E
 
 
 @dataclass(frozen=True, eq=False)
-class End:
+class RunEnd:
     """Ends of one run.
 
     Attributes:
@@ -69,7 +69,7 @@ class Ends:
         """Takes the next block."""
         self._detector.update(block.start, block.values)
 
-    def result(self) -> list[End]:
+    def result(self) -> list[RunEnd]:
         """Returns the ends of every run."""
         each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.ran_away.tolist(), strict=True)
-        return [End(*one) for one in each]
+        return [RunEnd(*one) for one in each]

@@ -25,9 +25,9 @@ class Recording:
 
     Attributes:
         case: the run.
-        input: its road at the samples.
-        response: the vehicle's signals, then the states of a linear law at its last sample. From the run's divergence on signals
-            are NaN, and states are infinite where they ran away, else NaN.
+        input: road of the run at the samples.
+        response: the vehicle's signals, then the states of a linear law at its last sample. After a divergence signals are NaN,
+            and states are infinite where they ran away, else NaN.
         qpos: generalized positions, shape (T, nq), to draw a run.
         qvel: generalized velocities, shape (T, nv).
         measured: each signal, and closing velocity, at the controller's samples, see `Block.measured`, shape (T,).
@@ -77,9 +77,10 @@ class Recorder:
     def result(self) -> list[Recording]:
         """Returns the recording of every run."""
         batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
-        names = ("values", "qpos", "qvel", "requested_force", "kept", "measured")
-        arrays = {name: np.concatenate([getattr(one, name) for one in self._blocks]) for name in names if len(self._blocks) > 1}
-        values, qpos, qvel, commands, kept, measured = (arrays.get(name, getattr(first, name)) for name in names)
+        values, qpos, qvel, commands, kept, measured = (
+            getattr(first, name) if len(self._blocks) == 1 else np.concatenate([getattr(one, name) for one in self._blocks])
+            for name in ("values", "qpos", "qvel", "requested_force", "kept", "measured")
+        )
         time, gone = batch.time, batch.time[:, None] >= batch.diverged
         values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
         response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))

@@ -14,12 +14,13 @@ from sim.drive.loop import DIVERGED, Block
 from sim.drive.response import SILENT, loudest_alike
 from sim.linear.outputs import forces_ahead
 from sim.observers.ends import Ends
+from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.state_space import StateSpace
 
 
 class SignalMeter(Protocol):
-    """What measures blocks of signals, shape (B, S, N)."""
+    """Meter of blocks of signals, shape (B, S, N)."""
 
     def update(self, values: Array) -> None:
         """Takes the next block."""
@@ -107,7 +108,7 @@ class Twin:
 
 def _closed(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
     """Returns the closed loop from step to step, of a law that acts at once or not at all."""
-    assert driver.linear is True, "it is linear"
+    assert isinstance(driver, Controller), "it is linear"
     return loop_of(replace(vehicle, implementation=Implementation()), driver, timestep).closed_loop
 
 

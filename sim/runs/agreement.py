@@ -10,8 +10,8 @@ A run agrees if two local checks hold:
 Its trajectory then is that of the equations and the law. The distance from the linear response is a measurement, with a cause:
 the integrator, geometry, noise, or an event that ends the linear regime.
 
-Linear analysis applies to such a run because the equations are linear until that event, or nearly. The distance is computed when
-it is asked for (`LinearComparison`), and the verdict does not need it.
+Linear analysis applies to such a run because the equations are linear until that event, or nearly. `LinearComparison`
+computes the distance only when it is needed, and the verdict does not need it.
 
 A vehicle type that rotates and has no equations of motion is compared to first order: the same road is driven at `SMALL` of its
 height, where the relative difference from the linear response must have fallen by the same factor.

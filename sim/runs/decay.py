@@ -35,7 +35,7 @@ class Mode:
     """Mode of a free decay.
 
     Attributes:
-        frequency: its undamped natural frequency |s| / (2 pi) [Hz].
+        frequency: undamped natural frequency |s| / (2 pi) [Hz].
         damping_ratio: -Re s / |s|; 1 for a mode that does not oscillate.
         share: share of the energy of the signals that it has, each over its peak.
     """

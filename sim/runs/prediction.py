@@ -85,22 +85,23 @@ class Prediction:
     @cached_property
     def radius(self) -> float:
         """Growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear."""
-        if not self.is_linear or self.controller.linear is not True:
+        controller = self.controller
+        if not self.is_linear or controller.linear is not True:
             return math.nan
-        loop = loop_of(self.vehicle, self.controller, self.timestep)
+        loop = loop_of(self.vehicle, controller, self.timestep)
         return radius(loop) if len(loop.open_loop.A) <= self.most_states else math.nan
 
     @cached_property
     def loop(self) -> Loop | None:
         """The linear loop in continuous time, or None."""
-        linear = self.is_linear and self.controller.linear is True
-        return loop_of(self.vehicle, self.controller) if linear else None
+        controller = self.controller
+        return loop_of(self.vehicle, controller) if self.is_linear and controller.linear is True else None
 
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
     def _sampled(self) -> tuple[Response, Response, Response | None]:
         """Returns `sampled`, `integrated` and `finer`."""
-        controller, road, linear = self.controller, self.input, self.controller.linear is True
+        controller, road = self.controller, self.input
         if not self.is_linear:
             states = self.continuous.signals[len(self._nothing.signals) :]
             nothing = self._nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
@@ -111,7 +112,7 @@ class Prediction:
             runs = stepped([controller], [road]) if controller.linear is True else forced(self.requested_force, road)
             response = with_decisions(runs.single, [self.vehicle])
             return response, response, runs.finer.run(0)
-        if linear:
+        if controller.linear is True:
             respond = partial(sampled_response, controller, road)
         else:
             from sim.linear.forced_response import forced_response

@@ -127,7 +127,8 @@ def run_controllers(
         balanced: False leaves out positions, energy and the change by half the step.
     """
     recordings = record([Case(vehicle.driven_by(one.name), one, road) for one in controllers], time)
-    runs = compare_runs([predicted(one.driver, one.input, one.commands) for one in recordings], recordings)
+    pairs = zip(controllers, recordings, strict=True)
+    runs = compare_runs([predicted(controller, one.input, one.commands) for controller, one in pairs], recordings)
     return with_energy_balance(runs, recordings) if balanced else runs
 
 

@@ -322,7 +322,7 @@ def test_campaign(benchmark, tmp_path, text, controller, road, runs, claim):
     campaign = read_campaign(file)
     vehicle = campaign.vehicles["car.toml"]
     plan = Plan(campaign, {"car.toml": {controller: driver_of(vehicle, controller)}})
-    store = Store(tmp_path, columns(campaign, {}), plan.count)
+    store = Store(tmp_path, columns(campaign, {}), ((0, plan.count),))
     native = native_steps(build_model(vehicle, 1e-3), workers)
     # Batches have as many runs as the command gives them once it knows how fast they are; the first two load what all need.
     progress = Progress(plan, plan.count, RUNS_AT_ONCE, lambda told: None)

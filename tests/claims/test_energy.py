@@ -246,11 +246,11 @@ def test_wrong_steps_forces_and_dampers_show(paper, designer):
     runs = run(paper, designer.design("I"), road, 1e-3)
     response = runs.response
     assert energy(paper, runs, 0, road).balances
-    slower = dataclasses.replace(runs, response=Response(1.02 * response.time, response.signals, response.values))
+    slower = runs.with_response(Response(1.02 * response.time, response.signals, response.values))
     assert not energy(paper, slower, 0, Bump(speed=12.5 / 1.02)).balances
     values = response.values.copy()
     values[..., response.names.index("control_force")] *= 1.1
-    stronger = dataclasses.replace(runs, response=Response(response.time, response.signals, values))
+    stronger = runs.with_response(Response(response.time, response.signals, values))
     assert not energy(paper, stronger, 0, road).balances
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from models.kinds.kind import HERE, Suspension
 from models.vehicle.vehicle import read_vehicle
-from sim import bump, drive, sweep
+from sim import bump, sweep
+from sim.drive import __main__ as drive
 from sim.studies.ride.metrics import metrics_of, points
 
 OWN = {"suspension_deflection": "gap", "tyre_deflection": "squash", "control_force": "push", "road_displacement": "ground"}

@@ -67,7 +67,7 @@ def test_values_before_a_decision_are_those_measured_there():
     vehicle = parse_vehicle(text)
     time = sample_times(vehicle, 0.5, 1e-3)
     runs = simulate([vehicle], [vehicle.controllers["law"].driver()], [Bump(0.1, 5.0, 12.5)], time)
-    run, measured = runs.run(0), runs.commanded(0).measured
+    run, measured = runs.run(0), runs.recordings[0].measured
     for name in ("sprung_acceleration_front", "sprung_acceleration_rear"):
         far = np.abs(run.before[name] - measured[name]).max() / run.peak(name)
         assert far < 1e-3 < np.abs(run[name] - measured[name]).max() / run.peak(name)

@@ -13,8 +13,9 @@ from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat, Step
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim import bump, drive
+from sim import bump
 from sim.campaign.__main__ import main as run_campaign
+from sim.drive import __main__ as drive
 from sim.inspect.__main__ import main as inspect
 from sim.runs.by_name import run
 from synth.vehicle.designer import Designer

@@ -86,6 +86,11 @@ class Runs:
     def requested_force(self) -> Array:
         return np.stack([one.commands for one in self.recordings])
 
+    def with_response(self, response: Response) -> "Runs":
+        """The runs with other signals, of shape (N, T, S)."""
+        changed = [replace(one, response=response.run(i)) for i, one in enumerate(self.recordings)]
+        return Runs(changed)
+
     def run(self, index: int) -> Response:
         return self.recordings[index].response
 
@@ -97,8 +102,8 @@ def simulate(
 
 
 def simulate_inputs(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> Runs:
-    roads = [on.road for on in inputs]
-    return simulate([on.vehicle for on in inputs], controllers, roads, inputs[0].time, threads)
+    pairs = zip(controllers, inputs, strict=True)
+    return Runs(record([Case(on.vehicle, one, on.road, input=on) for one, on in pairs], inputs[0].time, threads))
 
 
 def energy(vehicle: Vehicle, runs: Runs, index: int, road: Road, until: float = np.inf) -> balance.Energy:

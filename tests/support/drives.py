@@ -2,7 +2,8 @@
 
 import pytest
 
-from sim import bump, drive, envelope, margins, sweep
+from sim import bump, envelope, margins, sweep
+from sim.drive import __main__ as drive
 
 MAP = ["--vary", "height:0.02:0.03:2", "--vary", "speed:10:20:2", "--timestep", "0.002"]
 

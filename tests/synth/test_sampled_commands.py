@@ -31,7 +31,7 @@ from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import describe, drawn_periods, rates_figure
 from tests.support.analysed import sampled_radius
-from tests.support.commands import attacks, once, prose
+from tests.support.commands import attacks, prose
 from tests.support.rewriting import contents, written
 from tests.support.shared import made
 
@@ -379,14 +379,14 @@ def test_losses(capsys, never_lost, norms_once, rates, names):
 @pytest.mark.attack
 def test_why_none_is_designed(monkeypatch, capsys):
     """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
-    true = once(synth.vehicle.sample_rate.cost.held_design)
+    true = synth.vehicle.sample_rate.cost.design
 
-    def fails_at_50_ms(problem, near, known):
-        if problem.period == 0.05:
+    def fails_at_50_ms(problem):
+        if problem.sampled.period == 0.05:
             raise DesignError("nothing was found: it is probably too slow")
-        return true(problem, near, known)
+        return true(problem)
 
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", fails_at_50_ms)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "design", fails_at_50_ms)
     code, found = asked(capsys, "10", "50", "--controller", "I")
     assert code == 0
     assert found["controllers"][0]["rates"][-1]["designed_norm"] is None

@@ -273,7 +273,7 @@ def _best_start(log: MeasuredLog, run: Response) -> tuple[float, tuple[str, ...]
     shift = int(np.argmax(total)) - len(grid) + 1 if total.max() > 0 else 0
     coarse = float(log.time[0] + step * shift)
     room = max(step, log.step / 2)
-    finer = minimize_scalar(
+    finer: Any = minimize_scalar(
         lambda start: -_score(log, run, start), bounds=(coarse - room, coarse + room), method="bounded", options={"xatol": 1e-7}
     )
     return float(finer.x) if -finer.fun > _score(log, run, coarse) + 1e-12 else coarse, tuple(opposite)
