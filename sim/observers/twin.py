@@ -1,7 +1,7 @@
 """Twin: the exact linear response of each run, computed beside the run and compared with its signals."""
 
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from sim.drive.loop import DIVERGED, Block
 from sim.drive.response import SILENT, loudest_alike
 from sim.linear.outputs import forces_ahead
 from sim.observers.ends import Ends
-from synth.controller.controller import Controller
 from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
 from synth.plant.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from synth.controller.controller import Controller
 
 
 class SignalMeter(Protocol):
@@ -108,8 +110,8 @@ class Twin:
 
 def _closed(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
     """Returns the closed loop from step to step, of a law that acts at once or not at all."""
-    assert isinstance(driver, Controller), "it is linear"
-    return loop_of(replace(vehicle, implementation=Implementation()), driver, timestep).closed_loop
+    law = cast("Controller", driver)  # it is linear
+    return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop
 
 
 def _row(row: Array, inputs: Array) -> Array:

@@ -37,7 +37,7 @@ foreign FMU as a controller                                     146    198      
 laws in Python                                                  677    732    103
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            193    411    130
+custom vehicle types                                            193    412    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1268    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
@@ -87,7 +87,7 @@ sampled data: norm, bound, designs, rates                      2056   1333    11
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3271   1454     96
+export: C99, fixed point, FMI, MATLAB                          3271   1455     96
     synth/controller/export/** synth/command/export*.py sim/drive/exported_code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                           915    741    114
@@ -124,7 +124,7 @@ recordings: MCAP, Foxglove, Rerun                              2196   1139     4
 page and figures                                               4163   1363     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2744   1800    195
+campaigns                                                      2745   1800    195
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               719    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
@@ -134,31 +134,31 @@ margins in physics                                             2484    944     7
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1870    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2268   1262      0
+ride metrics and their expectation                             2268   1265      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-measured logs beside runs                                       523    315     93
+measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
 map of validity                                                1201    369     33
     sim/envelope.py sim/studies/validity/{__init__,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2973    991     18
+MuJoCo loop                                                    2980    991     18
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py sim/observers/*
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                                778    411      0
+linear responses                                                778    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      2934   1061     60
+runs, verdict, their text                                      2936   1061     60
     sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1116   1006    406
+commands that drive                                            1116   1008    406
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4149   1566
+house, pages, benchmarks                                          0   4150   1570
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*

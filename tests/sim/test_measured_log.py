@@ -72,12 +72,15 @@ def test_start_and_fit(case, runs):
     one = compare_log(log, runs)
     assert one.start == pytest.approx(start, abs=5e-4)
     for run, fits in zip(runs, one.fits, strict=True):
-        np.testing.assert_allclose([fits[name].fit for name in SIGNALS], fit(run, log, one.start), rtol=1e-9)
-    assert one.fits[1]["suspension_deflection"].fit > 0.9 > one.fits[0]["suspension_deflection"].fit
+        assert [fits[name].fit for name in SIGNALS] == pytest.approx(fit(run, log, one.start), rel=1e-9)
+    worse, better = (fits["suspension_deflection"].fit for fits in one.fits[:2])
+    assert worse is not None
+    assert better is not None
+    assert better > 0.9 > worse
     assert one.response.time[0] >= 0
     assert one.response.time[-1] <= runs[0].physics.time[-1]
     given = compare_log(log, runs, start=start + 0.05)
-    np.testing.assert_allclose([given.fits[1][name].fit for name in SIGNALS], fit(runs[1], log, start + 0.05), rtol=1e-9)
+    assert [given.fits[1][name].fit for name in SIGNALS] == pytest.approx(fit(runs[1], log, start + 0.05), rel=1e-9)
 
 
 def test_equal_signals_fit_exactly(runs):

@@ -358,7 +358,8 @@ def test_tables_have_the_peak_at_a_decision(law, steps):
         A, force = np.zeros((5, 5)), 0.0
         A[:4] = np.hstack([model.A, model.B])
         if law == "I":
-            force = float((driver.law.D @ [states[name] for name in driver.measured])[0])
+            gain: Any = driver.law
+            force = float((gain.D @ [states[name] for name in driver.measured])[0])
         else:  # the damper's force beside that of the constant one
             A[:4, :4] += model.B @ [[0.0, 0.0, c - (c_max := 4000.0 if body * stretching > 0 else 300.0), c_max - c]]
         return A, force
@@ -367,5 +368,7 @@ def test_tables_have_the_peak_at_a_decision(law, steps):
     metrics = measure_step(run)
     peaks = np.abs(decided(vehicle, system_of, steps, 0.01, time)).max(axis=0)
     for name, peak in zip(("sprung_acceleration", "unsprung_acceleration"), peaks, strict=True):
-        found = [run.physics.peak(name), abs(metrics[name].mujoco.peak)]
+        of_step = metrics[name].mujoco
+        assert of_step is not None
+        found = [run.physics.peak(name), abs(of_step.peak)]
         assert found == pytest.approx([peak] * 2, rel=1e-3), name

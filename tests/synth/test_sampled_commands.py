@@ -401,7 +401,7 @@ def test_why_none_is_designed(monkeypatch, capsys):
 def test_a_law_with_states_is_not_designed_for_a_rate(monkeypatch, never_lost):
     """What is designed for a rate is a gain; no search is made in place of a law with states that stands in no vehicle file."""
     vehicle = read_vehicle("quarter_car")
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "design", _not_asked_for)
     law = LinearLaw(np.array([[-5.0]]), np.array([[0.0, 1.0]]), np.array([[500.0]]), np.array([[0.0, -2000.0]]))
     (at,) = cost(vehicle, replace(design(vehicle, "I"), name="mine", law=law), [1e-2], [1e-2]).rates
     assert (at.designed, at.undesigned) == (None, "")
@@ -429,7 +429,7 @@ def test_what_does_not_hold_is_said(share, words, monkeypatch, capsys, never_los
         return replace(true(*arguments), reached=share * true(*arguments).value)
 
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "sampled_norm", other)
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "design", _not_asked_for)
     assert main(["--rates", "10", "--controller", "I"]) == 1
     assert words in prose(capsys.readouterr().out)
 
@@ -446,7 +446,7 @@ def test_what_is_not_designed_is_said(tmp_path, capsys, monkeypatch, never_lost)
         return design_others(self, name)
 
     monkeypatch.setattr(Designer, "design", refuses)
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "design", _not_asked_for)
     car.write_text(read_vehicle("quarter_car").text + hasty)
     code, found = asked(capsys, "10", "--vehicle", str(car), "--controller", "blind", "--controller", "II")
     assert code == 1
