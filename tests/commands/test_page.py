@@ -17,7 +17,7 @@ import pytest
 
 from models.document.description import about
 from models.document.document import Document, Table, notes
-from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, margined, rgb, styles, thinned
+from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, margined, rgb, styles, thinned
 from models.document.outputs import check_outputs
 from models.document.page import Page, render
 from models.document.picture import DARKEST, FONT, cells, panel_svg, ticks, write_picture
@@ -87,7 +87,6 @@ def everything(names: tuple[str, ...]) -> Page:
     panels = (
         Panel(f"lines\nof {names[0]}", "frequency <& [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
         Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
-        Panel("shades", "mass [%]", "stiffness [%]", (), Shades(x, y, z, "norm [-]")),
         Panel("bars", "norm", "", (), bars),
     )
     tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
@@ -255,7 +254,6 @@ def test_cells_are_where_the_axes_say():
 def test_every_panel_is_sound_xml():
     """The SVG of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
     none, x = np.zeros(0), np.array([1.0, 2.0])
-    nothing = np.full((2, 2), np.nan)
     odd = [
         Panel("", "x", "y", (), xlog=True, ylog=True),
         Panel("", "x", "y", (Curve(none, none, "MuJoCo"),)),
@@ -263,8 +261,6 @@ def test_every_panel_is_sound_xml():
         Panel("", "x", "y", (Curve(x, np.full(2, 7.0), "flat"),)),
         Panel("", "x", "y", (Curve(x, np.array([1e-300, 1e300]), "wide"),), ylog=True),
         Panel("", "x", "y", (Curve(x, np.array([0.0, 1e300]), "cut"),), ylim=(0.0, 1.0)),
-        Panel("", "x", "y", (), Shades(x, x, nothing, "none")),
-        Panel("", "x", "y", (), Shades(x, x, np.ones((2, 2)), "even")),
         Panel("", "norm", "", (), Bars(("all", "fail"), np.full(2, np.nan), ("unstable", "unstable"), ("#000000", "#d62728"))),
     ]
     whole = [panel for section in everything(HOSTILE).sections for figure in section.figures for panel in figure.panels]
