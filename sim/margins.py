@@ -45,7 +45,7 @@ def parser() -> Parser:
     )
     parser.add_one("state, or a controller of the vehicle file")
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are multiples of it")
-    parser.add_gone("--vary", "list the vehicles in the controller's family, for which synth proves norms, or run a campaign")
+    parser.add_gone("--vary", "give the controller these vehicles as a family, whose norms synth proves, or run a campaign")
     parser.add_logs("MuJoCo runs on both sides of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png, .svg or .pdf); needs matplotlib")
     parser.add_printed("each loop")

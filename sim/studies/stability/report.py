@@ -135,7 +135,7 @@ def describe(found: StabilityMargins) -> Document:
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
-    blocks += [Document("", notes(*(promise.text for promise in controller.robustness)))]
+    blocks += [Document("", notes(*(one.text for one in controller.robustness)))] if controller.robustness else []
     return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
 
 
