@@ -169,7 +169,7 @@ class Panel:
         title: title above the axes; may have two lines.
         xlabel, ylabel: labels with units; a panel of bars has no ylabel.
         curves: curves in the order of drawing.
-        ground: what lies below the curves.
+        ground: layer below the curves.
         xlog, ylog: True for a logarithmic axis.
         xticks: ticks of the horizontal axis; empty for automatic ones.
         xnames: labels of the ticks instead of numbers.

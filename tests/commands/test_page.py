@@ -134,7 +134,7 @@ def test_figures_say_what_they_show(page):
     _, found = page
     texts = {one["@id"]: one["text"] for one in found.all if one["tag"] in ("title", "desc") and "@id" in one}
     plots = [one for one in found.some("svg") if one.get("@role") == "img"]
-    assert len(plots) == 4
+    assert len(plots) == 3
     for one in plots:
         assert "figure" in one["around"]
         assert all(texts[name].strip() for name in one["@aria-labelledby"].split())

@@ -42,7 +42,7 @@ class PeriodicRoad:
 
     Attributes:
         road: the road.
-        omega: its frequencies [rad/s], shape (F,).
+        omega: frequencies of the road [rad/s], shape (F,).
         samples: number of samples of the whole periods at the end.
         fitted: True to fit lines there, with free motion; False to read the signals, for which free motion must have decayed.
     """
