@@ -297,7 +297,6 @@ def _draw_curve(axis: Any, curve: Curve) -> None:
         linewidth=curve.width,
         **_look(curve.color, curve.marker, curve.filled),
         zorder=3 if curve.marker else 2,
-        clip_on=True,
     )
 
 

@@ -121,7 +121,7 @@ log re-verification                                             855    579     4
 recordings: MCAP, Foxglove, Rerun                              2196   1139     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4118   1353     68
+page and figures                                               4117   1353     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2744   1800    195
