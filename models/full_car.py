@@ -8,7 +8,7 @@ import numpy as np
 
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
-from models.kinds.kind import Parameter, Parameters, Variation, motion_ratio
+from models.kinds.kind import Parameter, Parameters, motion_ratio
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 from models.kinds.strut_and_tyre import TYRE_DAMPING
 
@@ -26,7 +26,7 @@ TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # of four wheels on tracks of equal wi
 
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, mass of the body", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("sprung_mass", "kg", "m_s, mass of the body"),
     Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x, roll inertia of the body about its centre of mass"),
     Parameter("track", "m", "b, distance of left and right wheels, on both axles", optional=True, largest=rigid_body.LONGEST),
@@ -37,7 +37,7 @@ PARAMETERS = (
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u, mass of one wheel with hub and brake"),
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s, damping coefficient at one wheel", positive=False),
-    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t, stiffness of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_t, stiffness of one tyre"),
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
     *(motion_ratio(f"motion_ratio_{axle}") for axle in rigid_body.AXLES),
     rigid_body.CENTRE_HEIGHT,

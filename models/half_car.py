@@ -4,12 +4,12 @@ import numpy as np
 
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car
-from models.kinds.kind import Parameter, Parameters, Variation
+from models.kinds.kind import Parameter, Parameters
 from models.kinds.rigid_body import Corner, RigidBody
 
 CORNERS = rigid_body.AXLES
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, mass of half of the body", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("sprung_mass", "kg", "m_s, mass of half of the body"),
     Parameter("pitch_inertia", "kg m2", "I_y, pitch inertia of half of the body about its centre of mass"),
     *rigid_body.per_axle("axle_distance", "m", "l, distance from the centre of mass to the axle", largest=rigid_body.LONGEST),
     *rigid_body.of_half_car(CORNERS),

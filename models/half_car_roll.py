@@ -9,12 +9,12 @@ import numpy as np
 from models.common.errors import InputError
 from models.kinds import links, rigid_body, signals
 from models.kinds.car import Car, lateral
-from models.kinds.kind import Parameter, Parameters, Variation
+from models.kinds.kind import Parameter, Parameters
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 
 SIDES = links.SIDES
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, mass of the body on these two wheels", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("sprung_mass", "kg", "m_s, mass of the body on these two wheels"),
     Parameter("roll_inertia", "kg m2", "I_x, roll inertia of this part of the body about its centre of mass"),
     Parameter("track", "m", "b, distance of left and right wheel", largest=rigid_body.LONGEST),
     Parameter(

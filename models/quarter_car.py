@@ -17,7 +17,6 @@ from models.kinds.kind import (
     Invariant,
     Parameter,
     Parameters,
-    Variation,
     VehicleKind,
     Wheel,
     motion_ratio,
@@ -29,11 +28,11 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
 PARAMETERS = (
-    Parameter("sprung_mass", "kg", "m_s, mass of the body that one wheel carries", varied=Variation("sprung mass", 0.7, 1.4)),
+    Parameter("sprung_mass", "kg", "m_s, mass of the body that one wheel carries"),
     Parameter("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake"),
     Parameter("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", positive=False),
     Parameter("suspension_damping", "N s/m", "c_s, damping coefficient", positive=False),
-    Parameter("tyre_stiffness", "N/m", "k_t, called k_u in the paper", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    Parameter("tyre_stiffness", "N/m", "k_t, called k_u in the paper"),
     Parameter("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
     motion_ratio("motion_ratio"),
 )

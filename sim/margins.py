@@ -1,4 +1,4 @@
-"""`python -m sim.margins`: how much gain, phase, delay, sample period and error a loop bears, predicted and found in MuJoCo."""
+"""`python -m sim.margins`: how much gain, phase, delay and sample period a loop bears, predicted and found in MuJoCo."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -27,16 +27,11 @@ if TYPE_CHECKING:
 RECORDED = 4.0  # s, of a recorded run
 
 EPILOG = """
-errors [%]: each measurement is multiplied by its own factor between 1 - error and 1 + error. If there are several forces, each
-force is, too. With one force, this equals an error of each entry of the gain. The proof holds for all such errors. The search
-finds the worst errors, and MuJoCo finds the stability limit for these errors. The lag of the actuators is included.
-
 exit code: 0 prediction and MuJoCo agree; 1 they disagree, or the controller cannot be designed; 2 invalid input
 
 examples:
   python -m sim.margins --controller II
   python -m sim.margins --controller I --picture margins.png --logs logs
-  python -m sim.margins --controller I --vary sprung_mass:0.8:1.2 --vary suspension_damping:0.5:1
   python -m sim.margins --controller I --vehicle half_car --json
 """
 
@@ -45,21 +40,15 @@ def parser() -> Parser:
     """The options."""
     parser = Parser(
         "sim.margins",
-        "Find the margins of a control loop for gain, phase, delay, sample period and measurement errors.",
+        "Find the margins of a control loop for gain, phase, delay and sample period.",
         EPILOG,
     )
     parser.add_one("state, or a controller of the vehicle file")
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are multiples of it")
-    parser.add_argument(
-        "--vary",
-        action="append",
-        default=[],
-        metavar="NAME:LOW:HIGH",
-        help="vary up to four parameters from LOW to HIGH times their value (default: the parameters of the vehicle type)",
-    )
+    parser.add_gone("--vary", "give the controller these vehicles as a family, whose norms synth proves, or run a campaign")
     parser.add_logs("MuJoCo runs on both sides of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins (.png, .svg or .pdf); needs matplotlib")
-    parser.add_printed("each loop, norms with errors, effects of rounding, and each varied vehicle")
+    parser.add_printed("each loop")
     return parser
 
 
@@ -79,7 +68,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.runs.run import sample_times
     from sim.studies.stability.margin_search import LONGEST
     from sim.studies.stability.report import describe, margins_object
-    from sim.studies.stability.robustness import read_variations
     from sim.studies.stability.study import stability_margins
     from synth.vehicle.designer import Designer
 
@@ -87,17 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = one_chosen(given.controller_names, options.controller)
     as_built = given.driven_by(name)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
-    variations = read_variations(as_built.with_ideal_actuators, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
-    stage = Stages("design", "margins", "fragility", "other vehicles", "picture and logs")
+    stage = Stages("design", "margins", "picture and logs")
     stage("design")
     sample_times(vehicle, LONGEST, options.timestep)
     controller = Designer(as_built, search=False).design(name)
     with_computer = replace(vehicle, implementation=as_built.implementation)
     _check_loop(vehicle, with_computer, controller, options.timestep)
     say_false_claims([controller])
-    (found,) = stability_margins(as_built, [controller], options.timestep, stage, variations)
+    (found,) = stability_margins(as_built, [controller], options.timestep, stage)
     stage("picture and logs")
     if options.picture is not None:
         from models.document.picture import write_picture

@@ -53,7 +53,7 @@ TOLERANCES: tuple[tuple[float | None, float, str], ...] = (
         r"residual|rounding|difference|\.(loss|lmi|X|error|allowed|off_by|cross_check|flat|refine_lowers\w*|\w*gap|\w*_error)\b",
     ),
     (1e-8, 1e-6, r"frequency|omega"),
-    (1e-8, 0.0, r"margin|phase|angle|\bdelay|sample_period\.|fragility|robustness|pole|peak_\[Hz\]"),
+    (1e-8, 0.0, r"margin|phase|angle|\bdelay|sample_period\.|fragility|pole|peak_\[Hz\]"),
     (1e-11, 0.0, r"\.signals\."),
     (1e-9, 0.0, ""),
 )

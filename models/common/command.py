@@ -185,6 +185,10 @@ class Parser(argparse.ArgumentParser):
             printed.add_argument("--brief", action="store_true", help=brief)
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
+    def add_gone(self, option: str, instead: str) -> None:
+        """Refuses an option that is gone, with what to do instead."""
+        self.add_argument(option, action=_Gone, help=argparse.SUPPRESS, instead=instead)
+
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
@@ -275,6 +279,17 @@ class _Vehicles(argparse.Action):
         before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
         namespace.given.add(self.dest)
         setattr(namespace, self.dest, (*before, values))
+
+
+class _Gone(argparse.Action):
+    """Option that is gone."""
+
+    def __init__(self, option_strings, dest, instead, help=None) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs="?", help=help)
+        self._instead = instead
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        parser.error(f"{option_string} is gone; {self._instead}")
 
 
 class _Flag(argparse.Action):

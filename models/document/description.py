@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.document.figure import Bars, Classes, Panel, Shades, Spans
+from models.document.figure import Bars, Classes, Panel, Spans
 
 
 def quantity(label: str) -> tuple[str, str]:
@@ -27,11 +27,6 @@ def _ground(panel: Panel) -> list[str]:
     if isinstance(ground, Classes):
         shares = [(name, float(np.mean(ground.kind == i))) for i, name in enumerate(ground.names)]
         return ["Shares of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]
-    if isinstance(ground, Shades) and np.isfinite(ground.z).any():
-        low, high = np.nanmin(ground.z), np.nanmax(ground.z)
-        row, column = np.unravel_index(np.nanargmax(ground.z), ground.z.shape)
-        where = f"{panel.xlabel} {ground.x[column]:.3g}, {panel.ylabel} {ground.y[row]:.3g}"
-        return [f"{ground.label}, from {low:.4g} to {high:.4g}, largest at {where}."]
     return []
 
 

@@ -130,22 +130,6 @@ WIDE = 8  # a class has room for words if it is as deep as this part of a map
 
 
 @dataclass(frozen=True, eq=False)
-class Shades:
-    """A quantity over a plane.
-
-    Attributes:
-        x, y: shapes (N,) and (M,).
-        z: shape (M, N); NaN for no value.
-        label: name and unit of the shaded quantity.
-    """
-
-    x: Array
-    y: Array
-    z: Array
-    label: str
-
-
-@dataclass(frozen=True, eq=False)
 class Bars:
     """Horizontal bars from zero, the first on top.
 
@@ -185,7 +169,7 @@ class Panel:
         title: title above the axes; may have two lines.
         xlabel, ylabel: labels with units; a panel of bars has no ylabel.
         curves: curves in the order of drawing.
-        ground: shades below the curves.
+        ground: layer below the curves.
         xlog, ylog: True for a logarithmic axis.
         xticks: ticks of the horizontal axis; empty for automatic ones.
         xnames: labels of the ticks instead of numbers.
@@ -196,7 +180,7 @@ class Panel:
     xlabel: str
     ylabel: str
     curves: tuple[Curve, ...]
-    ground: Classes | Shades | Bars | Spans | None = None
+    ground: Classes | Bars | Spans | None = None
     xlog: bool = False
     ylog: bool = False
     xticks: tuple[float, ...] = ()

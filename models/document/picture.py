@@ -20,16 +20,15 @@ from models.common.arrays import Array
 from models.common.errors import InputError, middle_cut
 from models.common.files import whole_file
 from models.document.description import about
-from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Shades, Spans, legend
+from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Spans, legend
 from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrapped
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
 SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
-EDGE, TOP, BOTTOM, RIGHT, SCALE = 10, 24, 44, 22, 84  # margins of a picture and a panel; right of one with a colour scale
+EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and a panel
 ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above, and of the bar; width of a line in a legend
 BOLD = 1.12  # width of bold letters over that of others
 LONGEST = 24  # letters of a name in a legend
-DARKEST = 0.6  # of matplotlib's colours, as a share; on darker ones a line is not legible
 FAR = 1e6  # end of a span with an infinite end
 DASHES: dict[str, Any] = {
     "solid": "-",
@@ -209,13 +208,13 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
         return
     axis = sheet.canvas.add_axes((0, 0, 1, 1), facecolor="none")
     axis.set(xscale="log" if panel.xlog else "linear", yscale="log" if panel.ylog else "linear")
-    image = _draw_ground(axis, panel.ground)
+    _draw_ground(axis, panel.ground)
     for curve in panel.curves:
-        _draw_curve(axis, curve, cut_off=not isinstance(panel.ground, Shades))  # markers at corners of shades are whole
+        _draw_curve(axis, curve)
     axis.set(xlim=panel.xlim, ylim=panel.ylim)
     down, names = ticks(axis.get_ylim(), panel.ylog)
     inner = 10 + max((text_width(name, FONT) for name in names), default=0.0)
-    width, height = size[0] - inner - (SCALE if image is not None else RIGHT), size[1] - TOP - BOTTOM
+    width, height = size[0] - inner - RIGHT, size[1] - TOP - BOTTOM
     left, bottom = left + inner, top + TOP + height
     axis.set_position(sheet.box(left, top + TOP, width, height))
     axis.set_axis_off()  # with ticks of matplotlib's, a panel takes twice as long
@@ -235,12 +234,6 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
     sheet.write(left + width / 2, bottom + BOTTOM - 8, panel.xlabel, ha="center")
     if isinstance(panel.ground, Spans):
         _name_spans(sheet, axis, panel.ground, left, bottom - 8, width)
-    elif isinstance(panel.ground, Shades) and image is not None:
-        scale = sheet.canvas.add_axes(sheet.box(left + width + 14, top + TOP, 12, height))
-        colors: Any = sheet.canvas.colorbar(image, cax=scale)
-        levels, labels = ticks(scale.get_ylim(), log=False)
-        colors.set_ticks(levels, labels=labels)
-        sheet.write(left - inner + size[0] - 4, top + 14, panel.ground.label, ha="right")
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
@@ -260,8 +253,8 @@ def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -
     sheet.write(left, top + ROW * len(bars.names) + 20, label)
 
 
-def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> Any:
-    """Draws a ground; returns the shades that need a colour scale, or None."""
+def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
+    """Draws a ground."""
     if isinstance(ground, Classes):
         from matplotlib.patches import PathPatch
 
@@ -272,19 +265,9 @@ def _draw_ground(axis: Any, ground: Classes | Shades | Bars | Spans | None) -> A
         for text, row, column in ground.labels:
             axis.text(ground.x[column], ground.y[row], text, ha="center", va="center")
         axis.set(xlim=_edges(ground.x)[[0, -1]], ylim=_edges(ground.y)[[0, -1]])
-    elif isinstance(ground, Shades):
-        from matplotlib import colormaps
-        from matplotlib.colors import ListedColormap
-
-        axis.set(xlim=(ground.x[0], ground.x[-1]), ylim=(ground.y[0], ground.y[-1]))
-        if np.isfinite(ground.z).any():
-            z = np.ma.masked_invalid(ground.z)
-            shades = ListedColormap(colormaps["YlOrBr"](np.linspace(0, DARKEST, 256)))
-            return axis.contourf(ground.x, ground.y, z, levels=12, cmap=shades)
     elif isinstance(ground, Spans):
         for low, high in ground.ends:
             axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
-    return None
 
 
 def _edges(centres: Array) -> Array:
@@ -306,7 +289,7 @@ def cells(there: Array, x: Array, y: Array) -> Any:
     return Outline(corners, codes)
 
 
-def _draw_curve(axis: Any, curve: Curve, cut_off: bool) -> None:
+def _draw_curve(axis: Any, curve: Curve) -> None:
     axis.plot(
         curve.x,
         curve.y,
@@ -314,7 +297,6 @@ def _draw_curve(axis: Any, curve: Curve, cut_off: bool) -> None:
         linewidth=curve.width,
         **_look(curve.color, curve.marker, curve.filled),
         zorder=3 if curve.marker else 2,
-        clip_on=cut_off or not len(curve.x),
     )
 
 

@@ -66,7 +66,7 @@ class Parameter(Checked):
         unit: SI unit.
         meaning: description in one line.
         positive: True if zero is refused too. Infinite, NaN and absurdly large values always are.
-        varied: variation in robustness analysis; None for a fixed parameter.
+        varied: accepted from vehicle types that were written for earlier versions, and without effect.
         largest: largest allowed value.
         usual: default value; None for a parameter without one.
         smallest: smallest allowed value; None for 0, or the least positive one.
@@ -526,12 +526,6 @@ class VehicleKind(Checked):
     def corners(self) -> dict[str, str]:
         """Suffix of the names at a suspension, by its force."""
         return {part.force: part.ending for part in self.suspensions if part.force}
-
-    @property
-    def variations(self) -> dict[Variation, tuple[str, ...]]:
-        """The variations of this kind, each with the parameters that it scales, in their order."""
-        variations = dict.fromkeys(part.varied for part in self.parameters if part.varied is not None)
-        return {varied: tuple(part.name for part in self.parameters if part.varied == varied) for varied in variations}
 
     @property
     def mjcf(self) -> Path:

@@ -39,7 +39,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation, motion_ratio
+from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, motion_ratio
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     HEAVE_LOAD,
@@ -67,22 +67,20 @@ def per_axle(
     unit: str,
     meaning: str,
     positive: bool = True,
-    varied: Variation | None = None,
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
     """Returns a parameter of every axle, or of other places, with these further options of `Parameter`."""
-    return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, varied, **options) for place in places)
+    return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
 def of_half_car(places: Sequence[str]) -> tuple[Parameter, ...]:
     """Returns the parameters of the wheels of a half-car, one at each of two axles or sides."""
-    tyre = Variation("tyre stiffness", 0.75, 1.25)
     return (
         *per_axle("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake", places=places),
         *per_axle("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", False, places=places),
         *per_axle("suspension_damping", "N s/m", "c_s, damping coefficient", False, places=places),
-        *per_axle("tyre_stiffness", "N/m", "k_t, called k_u in the paper", varied=tyre, places=places),
+        *per_axle("tyre_stiffness", "N/m", "k_t, called k_u in the paper", places=places),
         *per_axle("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", False, places=places, optional=True),
         *(motion_ratio(f"motion_ratio_{place}") for place in places),
     )

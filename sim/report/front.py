@@ -8,14 +8,10 @@ import numpy as np
 from models.common.errors import InputError
 from models.document.document import Document, notes
 from models.document.field import Field
-from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle
-from sim.drive.case import Case
-from sim.observers.recorder import record
 from sim.report.scope import AMPLITUDE, Scope
-from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
-from sim.studies.frequency.worst_case_gain import SETTLED, whole_periods
+from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
 from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
@@ -85,17 +81,14 @@ def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float
     if not np.isfinite(omega):
         return math.nan
     step = scope.timestep / math.ceil(omega * scope.timestep / turn)
-    growth = radius(loop_of(vehicle, controller, step))
-    if not growth < 1:
+    if not radius(loop_of(vehicle, controller, step)) < 1:
         return math.nan
-    periods, count = whole_periods(omega, step)
-    omega = 2 * np.pi * periods / (count * step)
+    road = settled_sinusoid(*whole_periods(omega, step), AMPLITUDE, step, 12.5)
     try:
-        time = sample_times(vehicle, step * math.log(SETTLED) / math.log(growth) + step * count, step)
+        (run,) = drive_periodic(vehicle, [controller], [road], step)
     except InputError:  # it takes too many samples
         return math.nan
-    (run,) = record([Case(vehicle, controller, sinusoid(omega, 12.5).scaled(AMPLITUDE / 2))], time)
-    return settled_gain(vehicle, run.response.samples(slice(-count, None)), omega)
+    return settled_gain(vehicle, run.last_periods(), road.omega[0])
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:

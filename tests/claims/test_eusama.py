@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from models.roads.rig import Rig
+from models.roads.road import under_wheels
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.eusama import DISPUTED, load_failures, load_object, minimum_loads
+from sim.studies.frequency.eusama import DISPUTED, Plate, load_failures, load_object, minimum_loads
 from sim.studies.frequency.report import workshop
 from sim.studies.frequency.sweep import sweep
 from synth.vehicle.designer import design
@@ -40,6 +41,18 @@ def by_hand(p) -> float:
     strut, body = c * s + k, m_s * s**2
     wheel = k_t / (m_u * s**2 + k_t + strut * body / (body + strut))  # z_u / z_r, the body behind its strut
     return 1 - 3e-3 * float(np.abs(wheel - 1).max()) / ((m_s + m_u) * 9.81 / k_t)
+
+
+def test_a_plate_moves_one_wheel():
+    """A plate moves its wheel of a full car from height zero, with the derivative as velocity; the others rest."""
+    vehicle, time = read_vehicle("full_car"), np.linspace(-0.5, 2.0, 5001)
+    plate = Plate(vehicle.kind.wheels[2].road_velocity, 40.0).scaled(2.0)
+    heights, rates = (under_wheels(one, plate, vehicle, time) for one in (plate.displacement, plate.velocity))
+    assert heights[:, 2] == pytest.approx(np.where(time > 0, 6e-3 * np.sin(40.0 * time), 0.0), abs=1e-15)
+    assert not np.delete(heights, 2, axis=1).any()
+    moving = time > 1e-3
+    slopes = np.gradient(heights, time, axis=0)
+    assert slopes[moving][1:-1] == pytest.approx(rates[moving][1:-1], abs=2e-5)  # (40 * 5e-4)^2 / 6 of 0.24 m/s
 
 
 @pytest.mark.attack

@@ -17,10 +17,10 @@ import pytest
 
 from models.document.description import about
 from models.document.document import Document, Table, notes
-from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, margined, rgb, styles, thinned
+from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, margined, rgb, styles, thinned
 from models.document.outputs import check_outputs
 from models.document.page import Page, render
-from models.document.picture import DARKEST, FONT, cells, panel_svg, ticks, write_picture
+from models.document.picture import FONT, cells, panel_svg, ticks, write_picture
 from models.document.reading import Pivot, aligned, notation, read, write_rows
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
@@ -87,7 +87,6 @@ def everything(names: tuple[str, ...]) -> Page:
     panels = (
         Panel(f"lines\nof {names[0]}", "frequency <& [Hz]", "gain [m]", curves + points, xlog=True, ylog=True),
         Panel("map", "speed [m/s]", "height [m]", points[:1], ground),
-        Panel("shades", "mass [%]", "stiffness [%]", (), Shades(x, y, z, "norm [-]")),
         Panel("bars", "norm", "", (), bars),
     )
     tables = tuple(Table(f"t{k}", f"of {name}", ("a", "b"), ((name, "1"), ("x", "2"))) for k, name in enumerate(names))
@@ -135,7 +134,7 @@ def test_figures_say_what_they_show(page):
     _, found = page
     texts = {one["@id"]: one["text"] for one in found.all if one["tag"] in ("title", "desc") and "@id" in one}
     plots = [one for one in found.some("svg") if one.get("@role") == "img"]
-    assert len(plots) == 4
+    assert len(plots) == 3
     for one in plots:
         assert "figure" in one["around"]
         assert all(texts[name].strip() for name in one["@aria-labelledby"].split())
@@ -255,7 +254,6 @@ def test_cells_are_where_the_axes_say():
 def test_every_panel_is_sound_xml():
     """The SVG of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
     none, x = np.zeros(0), np.array([1.0, 2.0])
-    nothing = np.full((2, 2), np.nan)
     odd = [
         Panel("", "x", "y", (), xlog=True, ylog=True),
         Panel("", "x", "y", (Curve(none, none, "MuJoCo"),)),
@@ -263,8 +261,6 @@ def test_every_panel_is_sound_xml():
         Panel("", "x", "y", (Curve(x, np.full(2, 7.0), "flat"),)),
         Panel("", "x", "y", (Curve(x, np.array([1e-300, 1e300]), "wide"),), ylog=True),
         Panel("", "x", "y", (Curve(x, np.array([0.0, 1e300]), "cut"),), ylim=(0.0, 1.0)),
-        Panel("", "x", "y", (), Shades(x, x, nothing, "none")),
-        Panel("", "x", "y", (), Shades(x, x, np.ones((2, 2)), "even")),
         Panel("", "norm", "", (), Bars(("all", "fail"), np.full(2, np.nan), ("unstable", "unstable"), ("#000000", "#d62728"))),
     ]
     whole = [panel for section in everything(HOSTILE).sections for figure in section.figures for panel in figure.panels]
@@ -344,9 +340,6 @@ def test_page_can_be_read():
 
     Lines of figures stand on the page; those on maps are black. The contrast of #767676 on white is the guidelines' example.
     """
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
     assert contrast("#767676", "#ffffff") == pytest.approx(4.54, abs=0.005)
     by_day = variables(CSS.split("@media", 1)[0])
     night = by_day | variables(re.findall(r"@media screen and \(prefers-color-scheme: dark\) \{(.*?)\n\}", CSS, re.S)[0])
@@ -358,8 +351,7 @@ def test_page_can_be_read():
     for color in {*(style.color for style in STYLES.values()), *OTHERS}:
         assert contrast(color, by_day["ground"]) >= GRAPHICS
         assert contrast(by_night(color), night["ground"]) >= GRAPHICS
-    shades = (to_hex(colormaps["YlOrBr"](share)) for share in np.linspace(0, DARKEST, 9))
-    for ground in (*shades, NOTHING, *(end.color for end in REGIME_ENDS)):
+    for ground in (NOTHING, *(end.color for end in REGIME_ENDS)):
         assert min(contrast("#000000", ground), contrast(by_night("#000000"), by_night(ground))) >= GRAPHICS, ground
 
 

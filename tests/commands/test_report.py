@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles
+from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, styles
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
@@ -110,7 +110,7 @@ def test_figures_and_tables_as_files():
 
 @pytest.mark.attack
 def test_every_kind_of_ground_is_drawn(tmp_path):
-    """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
+    """Cells, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
     from models.document.document import Document, notes
     from models.document.page import Page, render
     from models.document.picture import level, write_picture
@@ -120,18 +120,16 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     line = Curve(*level(x, y, z, 1.5), "level", "#000000")
     np.testing.assert_allclose(line.x[1:-1] + line.y[1:-1], 1.5)  # z is linear, so its contour is exact
     cells = Panel("cells", "x", "y", (line,), Classes(x, y, (z > 1.5).astype(int), ("#ffffff", "#7aa6d8"), ("", "high")))
-    shades = Panel("shades", "x", "y", (), Shades(x, y, np.where(z > 2.9, np.nan, z), "z [m]"))
     bars = Panel("bars", "x", "", (), Bars(("a", "b"), np.array([np.nan, 1.0]), ("none", "1"), ("#000000", "#d62728")))
-    figure = Figure("grounds", "three", (cells, shades, bars))
+    figure = Figure("grounds", "two", (cells, bars))
     text = render(Page("t", Document("", notes("a < b")), (Document("s", (figure,)),)))
     assert "a &lt; b" in text
-    assert len(re.findall(r'id="plot-grounds-\d(?:-title|-text)?"', text)) == 3 * 3  # each with its title and its text
+    assert len(re.findall(r'id="plot-grounds-\d(?:-title|-text)?"', text)) == 2 * 3  # each with its title and its text
     for suffix in (".svg", ".pdf", ".png"):
         paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
         write_picture(figure, paths[0])
         write_picture(figure, paths[1])
         assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert "shades: z [m], from 0 to 2.75, largest at x 0.75, y 2." in (tmp_path / "a.svg").read_text(encoding="utf-8")
 
 
 BROKEN = '[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:step"\n'

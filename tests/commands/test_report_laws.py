@@ -67,7 +67,7 @@ def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
     for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
         monkeypatch.setattr(report_ride, name, value)
     found, _ = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
-    assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
+    assert {"margins", "gains", "regime", "validity"}.isdisjoint(found["tables"])
     assert rows_of(found, "describing-functions")
     ride = rows_of(found, "ride")
     assert {row["predicted"] for row in ride} == {row["road to road"] for row in ride} == {"-"}

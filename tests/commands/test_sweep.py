@@ -14,10 +14,11 @@ from sim.linear.frequency_response import continuous_frequency_response, sampled
 from sim.studies.frequency.figure import drawn_line
 from sim.studies.frequency.identification import identify
 from sim.studies.frequency.report import describe
+from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
 from sim.studies.frequency.sweep import failures, holds, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
-from synth.vehicle.designer import Designer
+from synth.vehicle.designer import Designer, design
 from tests.conftest import recorded_runs
 from tests.support.analysed import sampled_response
 from tests.support.commands import in_the_suite
@@ -86,6 +87,40 @@ def test_four_wheels_tend_to_the_continuous_response():
         errors.append((apart / np.maximum(np.abs(exact).max(axis=2), 1e-300)).max())
     assert errors[1] < 2e-4  # (omega h)^2 / 24 of a held road, twice; measured 1.3e-4
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.01)
+
+
+PID = "kp = -500, ki = -50, kd = -50, filter = 0.02"
+LAWS = {
+    "every step": "",
+    "a slow computer": "[implementation]\nsample_period = 0.008\ndelay = 0.5\n",
+    "a slow mode": f"[controllers.own]\nmeasured = ['suspension_deflection']\npid = {{ {PID} }}\n",
+}
+
+
+@pytest.mark.parametrize("of", LAWS)
+def test_lines_and_signals_of_settled_runs_are_the_same(paper, of):
+    """The line that is fitted to a run that has not settled is that of the last periods of a settled one, and as predicted."""
+    vehicle = parse_vehicle(f"{paper.text}\n{LAWS[of]}")
+    controller = design(vehicle, "own" if "own" in LAWS[of] else "I")
+    settled = settled_sinusoid(*whole_periods(2 * np.pi * 8.0, STEP, 250), 1e-4, STEP, 12.5)
+    settled = dataclasses.replace(settled, samples=4 * settled.samples)
+    fitted = dataclasses.replace(settled, fitted=True)
+    first, second = drive_periodic(vehicle, [controller] * 2, [settled, fitted], STEP)
+    periods, names = first.last_periods(), [*vehicle.linear_model.outputs, "road_velocity"]
+    turning = 2 * np.exp(-1j * settled.omega * periods.time) / len(periods.time)
+    *read, driven = (turning @ periods[name] for name in names)
+    *lines, road = (second.lines(with_images=True)[name][0] for name in names)
+    expected = sampled_frequency_response(vehicle, controller, settled.omega, STEP)[0, :, 0]
+    assert np.array(read) / driven == pytest.approx(expected, rel=3e-5)  # of RK4 at 2 ms
+    assert np.array(lines) / road == pytest.approx(np.array(read) / driven, rel=1e-6)  # of free motion that is left
+
+
+def test_a_gain_does_not_depend_on_the_company():
+    """The gains of a controller are the same beside one that settles later: each run ends with its own periods."""
+    vehicle = read_vehicle("half_car")
+    slow, fast = (designed(vehicle, name) for name in ("passive", "I"))
+    (alone,), (_, beside) = (extremes(vehicle, some, 1e-4, 4e-3, 12.5) for some in ([fast], [slow, fast]))
+    assert beside.gains == pytest.approx(alone.gains, rel=1e-13)
 
 
 @pytest.mark.attack

@@ -64,7 +64,7 @@ def found_of(folder, law: str, how: Implementation | None = None, more: str = ""
     (mine,) = controllers_of(vehicle, ["mine"], Designer(vehicle).design)
     assert isinstance(mine, Programmed)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("sim.studies.frequency.describing_function.LOWEST", lowest)
+        patched.setattr("sim.studies.frequency.sinusoids.LOWEST", lowest)
         return describing_function(vehicle, mine, AMPLITUDE, step, SPEED), vehicle
 
 

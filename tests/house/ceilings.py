@@ -21,10 +21,10 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3030   2138      0
+what all commands share: files, options, checks, tables of numbers   3045   2138      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           6048   2166    333
+vehicle file, types, equations, MJCF                           6039   2166    332
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
@@ -37,14 +37,14 @@ foreign FMU as a controller                                     146    198      
 laws in Python                                                  677    732    103
     models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            193    412    130
+custom vehicle types                                            193    412    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1268    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3192   2178    161
+curves of dampers and springs, statistical linearisation       3192   2170    161
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -79,11 +79,11 @@ goals, families, trade-off front                               3624   1550    12
     synth/vehicle/{multi_objective,verification}.py synth/command/trade_off.py
     tests/support/goals.py tests/*/test_{band,energy_limits,family,front,goals*}.py
     docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
-uncertainty: fragility, mu, boxes                              2314    935     61
+uncertainty: fragility, mu, boxes                              2307    935     61
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
     {models,synth}/vehicle/weighted_errors.py tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
-sampled data: norm, bound, designs, rates                      2056   1333    110
+sampled data: norm, bound, designs, rates                      2056   1235    110
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
@@ -121,7 +121,7 @@ log re-verification                                             855    579     4
 recordings: MCAP, Foxglove, Rerun                              2196   1139     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4163   1363     68
+page and figures                                               4117   1353     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2745   1800    195
@@ -129,10 +129,10 @@ campaigns                                                      2745   1800    19
 gallery of papers                                               719    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             2484    944     79
+margins in physics                                             1933    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-frequency, sweep                                               1870    554     37
+frequency, sweep                                               1740    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2268   1265      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
@@ -153,7 +153,7 @@ runs, verdict, their text                                      2936   1061     6
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1116   1008    406
+commands that drive                                            1116   1002    406
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py

@@ -417,7 +417,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
         kind.mjcf.with_suffix(".py").read_text().replace('"suspension_damping"', '"c_strut"').replace('"quarter_car"', '"mine"')
     )
     named = 'suspended=(Suspension("suspension_deflection", "suspension", "control_force", "suspension_stiffness", "c_strut"),),'
-    source = source.replace("invariants=INVARIANTS,", named).replace("    Variation,\n", "    Suspension,\n    Variation,\n", 1)
+    source = source.replace("invariants=INVARIANTS,", named).replace("    Parameters,\n", "    Parameters,\n    Suspension,\n", 1)
     (tmp_path / "mine.py").write_text(source)
     (tmp_path / "mine.xml").write_text(kind.mjcf.read_text())
     text = curved_text(suspension_damping=DIGRESSIVE).replace("suspension_damping", "c_strut").replace('"quarter_car"', '"mine"')

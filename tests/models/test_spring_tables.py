@@ -17,7 +17,6 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.campaign.samples import with_sample
 from sim.inspect.__main__ import main as inspect
-from sim.studies.stability.robustness import _with_factors, read_variations
 from synth.vehicle.multi_objective import family_of
 from tests.support.commands import prose, refused
 
@@ -204,11 +203,9 @@ def test_a_preloaded_spring_follows_the_mass(tmp_path, kind, turning):
     (tmp_path / "mine.toml").write_text(vehicle.text.replace(f"sprung_mass = {mass}", f"sprung_mass = {1.1 * mass!r}"))
     heavy = read_vehicle(tmp_path / "mine.toml")
     assert heavy.parameters["sprung_mass"] == 1.1 * mass
-    varied = read_variations(vehicle, ["sprung_mass:0.9:1.1"])
     for changed in (
         vehicle.with_parameters(sprung_mass=1.1 * mass),
         with_sample(vehicle, {"sprung_mass": 1.1 * mass}),
-        _with_factors(vehicle, varied, [1.1]),
         *family_of(vehicle, ControllerEntry("own", ()), Goals(family=({"sprung_mass": 1.1},))),
     ):
         x = np.linspace(-0.04, 0.04, 33)
@@ -230,16 +227,6 @@ def test_a_preloaded_spring_follows_the_mass(tmp_path, kind, turning):
     assert dict(vehicle.with_parameters(**{f"tyre_stiffness{axles[0]}": 2e5}).curves) == dict(vehicle.curves)
     with refused("extend the table"):
         vehicle.with_parameters(sprung_mass=9.0 * mass)
-    with refused("--vary reaches an invalid vehicle: [curves]"):
-        read_variations(vehicle, ["sprung_mass:1:9"])
-
-
-def test_other_vehicles_stay_within_the_table(tmp_path):
-    """The usual range of masses is halved until a preloaded spring carries them: -15 to +20 % for a table to +25 %."""
-    more = '[curves]\nsuspension_stiffness = { file = "a.csv", preload = true }\n'
-    vehicle = read_with(tmp_path, more, a=SPRING.replace("250;6,2", f"250;{1.25 * 504.5 * 9.81e-3:.6f}".replace(".", ",")))
-    (mass, _) = read_variations(vehicle, ())
-    assert (mass.smallest, mass.largest) == (0.85, 1.2)
 
 
 @pytest.mark.parametrize("first", [0, 1], ids=["with time", "without time"])

@@ -1,8 +1,7 @@
-"""The L2 gain of loops that a computer closes: known numbers, two routes, its limits, and the worst road in MuJoCo."""
+"""The L2 gain of loops that a computer closes: known numbers, two routes, its limits, and gains in MuJoCo."""
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,27 +9,23 @@ import pytest
 from scipy import linalg, signal
 
 import sim.studies.frequency.sweep
-import sim.studies.frequency.worst_case_gain
 from models.common.errors import InputError
 from models.laws.filter import Filter
-from models.roads.road import Bump, under_wheels
+from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
-from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.studies.frequency.identification import l2_gain
-from sim.studies.frequency.sweep import DRIVEN, REACHED, failures, road_failures
-from sim.studies.frequency.worst_case_gain import PerWheelRoad, worst_roads
+from sim.studies.frequency.sweep import failures
 from sim.sweep import main
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop
-from synth.analysis.sampled_norm import SampledNorm, reached_gain, sampled_norm
+from synth.analysis.sampled_norm import reached_gain, sampled_norm
 from synth.analysis.stability import sampled_growth
-from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
 from synth.controller.loop_of import loop_of
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
 from tests.support.commands import attacks
-from tests.support.shared import made
 
 PROVED = 2e-8  # relative: the levels on either side of the norm are 1.1e-8 apart
 
@@ -235,85 +230,6 @@ def test_the_loop_is_the_one_that_runs():
 # --- in MuJoCo -----------------------------------------------------------------------------------------------------------
 
 
-SAMPLED = "\n[implementation]\nsample_period = 0.01\n"
-
-
-def driven(vehicle: Vehicle, name: str):
-    controller, norm = made(claimed, vehicle, name)
-    (road,) = worst_roads(vehicle, [controller], [norm], 1e-4, 1e-3)
-    assert road is not None
-    assert not road.ended
-    return norm.value, road
-
-
-def claimed(vehicle: Vehicle, name: str) -> tuple[Controller, SampledNorm]:
-    controller = design(vehicle, name)
-    return controller, norm_as_implemented(vehicle, controller)
-
-
-@pytest.mark.parametrize(
-    ("car", "name", "how", "bandwidth"),
-    [
-        ("half_car", "I", Implementation(1e-2, 1), None),
-        *attacks(
-            [
-                ("quarter_car", "II", Implementation(1e-2, 1.3), 60.0),
-                ("quarter_car_accelerometer", "accelerometer", Implementation(1e-2), None),
-                ("half_car", "state", Implementation(5e-2), None),  # it turns by pi
-                ("full_car", "I", Implementation(1e-2), None),
-            ]
-        ),
-    ],
-)
-def test_physics_reaches_the_norm(car, name, how, bandwidth):
-    """On its worst road the loop gains in MuJoCo what is predicted, the norm to a thousandth, and no more."""
-    vehicle = replace(read_vehicle(car), implementation=how, limits=Limits(actuator_bandwidth=bandwidth))
-    norm, road = driven(vehicle, name)
-    assert road.gain == pytest.approx(road.predicted, rel=1e-6)  # free motion that is left
-    assert norm * (1 - REACHED) <= road.gain <= norm * (1 + DRIVEN)
-    assert road.timestep <= (how.sample_period or 1e-3) / 8
-    sweep: Any = SimpleNamespace(road=road, sampled=SimpleNamespace(value=norm))
-    assert road_failures(sweep) == []
-    for gain in (0.99 * road.gain, 1.001 * norm):
-        sweep.road = replace(road, gain=gain)
-        predicted, *norms = road_failures(sweep)
-        assert "the prediction is" in predicted
-        assert (road.twisted and gain < norm) or "; the norm of the sampled loop is" in norms[0]  # warp need not reach the norm
-
-
-@pytest.mark.attack
-def test_filters_are_in_it():
-    """If weights of z and of the road are filters, the gain is from what comes into the road's."""
-    weights = 'sprung_acceleration = { weight = 1.0, filter = "iso2631_wk" }\n'
-    weights += "road = { numerator = [30.0], denominator = [1.0, 30.0] }"
-    text = read_vehicle("quarter_car").text
-    assert "sprung_acceleration = 1.0" in text
-    vehicle = parse_vehicle(text.replace("sprung_acceleration = 1.0", weights) + SAMPLED)
-    controller = design(vehicle, "II")
-    sampled = norm_as_implemented(vehicle, controller)
-    norm, (found,) = sampled.value, worst_roads(vehicle, [controller], [sampled], 1e-4, 1e-3)
-    assert found is not None
-    assert found.gain == pytest.approx(found.predicted, rel=1e-6)
-    assert norm * (1 - REACHED) <= found.gain <= norm * (1 + DRIVEN)
-
-
-@pytest.mark.attack
-def test_no_other_road_gains_as_much(monkeypatch):
-    """For the same sinusoids no other combination gains as much in MuJoCo, one under each wheel of a half-car."""
-    vehicle = replace(read_vehicle("half_car"), implementation=Implementation(1e-2))
-    norm, best = driven(vehicle, "I")
-    worst, rng = sim.studies.frequency.worst_case_gain._worst, np.random.default_rng(3)
-
-    def other(*arguments):
-        predicted, waves, omega = worst(*arguments)
-        found = waves + 0.1 * np.abs(waves).max() * (rng.standard_normal(waves.shape) + 1j * rng.standard_normal(waves.shape))
-        return predicted, found / np.linalg.norm(found) * np.linalg.norm(waves), omega
-
-    monkeypatch.setattr(sim.studies.frequency.worst_case_gain, "_worst", other)
-    _, road = driven(vehicle, "I")
-    assert 0.3 * norm < road.gain < best.gain
-
-
 def test_energy_between_leaps():
     """The gain of a run with a slow controller is the same, to the square of the step, at half the step; and through a filter."""
     vehicle = replace(read_vehicle("quarter_car"), implementation=Implementation(2e-2))
@@ -325,20 +241,6 @@ def test_energy_between_leaps():
         gains.append([l2_gain(one, run) for one in (vehicle, filtered)])
     for coarse, middle, fine in np.array(gains).T:
         assert coarse - middle == pytest.approx(4 * (middle - fine), rel=0.2)  # of order 2, with the ends of the bump
-
-
-def test_a_road_under_each_wheel():
-    """Every wheel of a full car has sinusoids of its own, from height zero, whose velocity is the derivative."""
-    vehicle, rng = read_vehicle("full_car"), np.random.default_rng(0)
-    omega, waves = np.array([3.0, -40.0]), rng.standard_normal((2, 4)) + 1j * rng.standard_normal((2, 4))
-    road, time = PerWheelRoad.under(vehicle, omega, waves, 5.0).scaled(2.0), np.linspace(0, 5, 4001)
-    heights, rates = (under_wheels(one, road, vehicle, time) for one in (road.displacement, road.velocity))
-    expected = 2 * np.real(np.exp(1j * np.multiply.outer(time, omega)) @ waves)
-    assert rates == pytest.approx(expected, abs=1e-9)
-    assert heights[0] == pytest.approx(np.zeros(4), abs=1e-12)
-    slopes = np.gradient(heights, time, axis=0)
-    assert slopes[1:-1] == pytest.approx(rates[1:-1], abs=3e-3)  # (40 * 1.25e-3)^2 / 6 of a rate of about 5
-    assert road.highest(time) == pytest.approx(np.abs(heights).max(), rel=1e-9)
 
 
 @pytest.mark.attack

@@ -14,18 +14,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import finite, finite_pairs
 from models.roads.sinusoids import sinusoid
-from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.drive.case import Case
 from sim.drive.regime import ended_by
 from sim.drive.response import SILENT, STILL, Response, loudest_alike
-from sim.observers.recorder import record
-from sim.runs.run import sample_times
-from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
+from sim.studies.frequency.identification import check, ideal_measurements, settled_gain
+from sim.studies.frequency.sinusoids import PeriodicRoad, chirp_lines, drive_periodic
 from synth.controller.controller import AnyController
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
-ENTRIES = 2e7  # numbers in a batch's record
 STEADY = 1e-3  # of a fundamental: what it may still change from one period of the lowest to the next, unsaid
 
 
@@ -81,29 +77,23 @@ def describing_function(
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
-    steps = steps_per_sample(vehicle.implementation, timestep)
-    period = round(1 / LOWEST / timestep / steps) * steps  # as that of the chirp
-    omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, SINUSOIDS)))
-    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
-    time = sample_times(vehicle, 3 * period * timestep, timestep)[:-1]
-    outputs = vehicle.linear_model.outputs
+    omega, period = chirp_lines(vehicle, timestep, SINUSOIDS)
+    roads = [PeriodicRoad(sinusoid(each, speed).scaled(amplitude / 2), np.array([each]), period) for each in omega.tolist()]
+    time, outputs = np.arange(period) * timestep, vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
-    together = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
     parts, times, away, ended = [], list[float](), list[bool](), dict[str, None]()
-    for some in np.split(omega, range(together, len(omega), together)):
-        roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
-        runs = [one.response for one in record([Case(vehicle, controller, road) for road in roads], time)]
-        times += [run.diverged for run in runs]
-        away += [run.ran_away for run in runs]
-        for run, each in zip(runs, some.tolist(), strict=True):
-            ended |= dict.fromkeys(ended_by(vehicle, run, controller.has_anti_windup))
-            if np.isfinite(run.diverged):
-                nothing = np.full(len(outputs), np.nan)
-                parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
-                continue
-            before, last = (Response(time[:period], run.signals, run.values[k * period : (k + 1) * period]) for k in (1, 2))
-            earlier, _ = _found(vehicle, units, before, each)
-            parts.append((*_found(vehicle, units, last, each), earlier, settled_gain(vehicle, last, each)))
+    for run in drive_periodic(vehicle, [controller] * len(roads), roads, timestep):
+        response, (each,) = run.response, run.on.omega.tolist()
+        times.append(response.diverged)
+        away.append(response.ran_away)
+        ended |= dict.fromkeys(ended_by(vehicle, response, controller.has_anti_windup))
+        if np.isfinite(response.diverged):
+            nothing = np.full(len(outputs), np.nan)
+            parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
+            continue
+        before, last = (Response(time, response.signals, response.values[k * period : (k + 1) * period]) for k in (1, 2))
+        earlier, _ = _fundamental(vehicle, units, before, each)
+        parts.append((*_fundamental(vehicle, units, last, each), earlier, settled_gain(vehicle, last, each)))
     measured, outside, earlier, gains = (np.stack(column) for column in zip(*parts, strict=True))
     diverged = np.array(times)
     size = np.where(np.isfinite(diverged)[:, None], 0.0, np.abs(measured))
@@ -114,7 +104,7 @@ def describing_function(
     return DescribingFunction(controller, outputs, units, omega, diverged, np.array(away), *values)
 
 
-def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
+def _fundamental(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
     """The fundamental of every output per road velocity, and the share of its energy outside, shapes (p,), from whole periods."""
     turning = 2 * np.exp(-1j * omega * response.time) / len(response.time)
     signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)

@@ -13,7 +13,7 @@ Closed form, and MuJoCo drives each wheel at the worst frequency. The number is 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,17 +22,16 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.printed import finite
 from models.document.field import Field
-from models.roads.road import RoadInput
+from models.kinds.kind import Parameters, Wheel
+from models.roads.road import Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import LIFT_OFF, ended_by
-from sim.drive.response import Response
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
 from sim.runs.agreement import COARSEST, SLACK
-from sim.runs.run import sample_times
-from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
-from sim.studies.frequency.worst_case_gain import PerWheelRoad, driven, whole_periods
+from sim.studies.frequency.identification import ideal_measurements
+from sim.studies.frequency.sinusoids import ALIASED, HIGHEST, PeriodicRoad, PeriodicRun, drive_periodic, whole_periods
 from synth.controller.controller import Controller
 
 STROKE = 3e-3  # m, the plate's amplitude
@@ -85,22 +84,65 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
     pairs = [(controller, i) for controller in controllers for i in range(len(wheels))]
     worst = [_worst(vehicle, *pair, highest, timestep) for pair in pairs]
-    periods = [_periods(omega, timestep) for omega in worst]
-    lengths = [lead_in(vehicle, one[0], timestep, of[1]) + of[1] for one, of in zip(pairs, periods, strict=True)]
-    time, waves = sample_times(vehicle, max(lengths) * timestep, timestep)[:-1], np.eye(len(wheels), dtype=complex)
-    moves = [(tried, STROKE * tried[0] * waves[i : i + 1]) for (_, i), (tried, _) in zip(pairs, periods, strict=True)]
-    roads = [RoadInput(vehicle, PerWheelRoad.under(vehicle, *each, float(time[-1])), time) for each in moves]
-    runs = driven([controller for controller, _ in pairs], roads)
-    each = zip(pairs, worst, periods, lengths, runs, strict=True)
-    loads = [_load(vehicle, one, omega, of, run.until((length - 0.5) * timestep), static) for one, omega, of, length, run in each]
+    plates = [_plate(wheels[i].road_velocity, omega, timestep) for (_, i), omega in zip(pairs, worst, strict=True)]
+    runs = drive_periodic(vehicle, [controller for controller, _ in pairs], plates, timestep)
+    loads = [_load(run, i, omega, static) for (_, i), omega, run in zip(pairs, worst, runs, strict=True)]
     return [tuple(loads[first : first + len(wheels)]) for first in range(0, len(loads), len(wheels))]
 
 
-def _periods(omega: float, timestep: float) -> tuple[Array, int]:
-    """Returns a frequency near this one [rad/s], shape (1,), and the samples of its whole periods that are fitted."""
+@dataclass(frozen=True)
+class Plate(Road):
+    """A plate under one wheel that moves by a sinusoid from rest; the vehicle stands, and its other wheels rest.
+
+    Attributes:
+        wheel: name of the wheel's road signal.
+        omega: frequency [rad/s].
+        stroke: amplitude [m].
+    """
+
+    wheel: str
+    omega: float
+    stroke: float = STROKE
+
+    speed = 0.0
+    laid = False
+
+    def track_of(self, wheel: Wheel) -> str:
+        """Returns the road signal of a wheel."""
+        return wheel.road_velocity
+
+    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
+        """Returns no delay."""
+        return 0.0
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Returns the start, where the velocity jumps."""
+        return (0.0,)
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Returns the height under a wheel, by its road signal [m]."""
+        return np.where((t >= 0) & (side == self.wheel), self.stroke * np.sin(self.omega * t), 0.0)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Returns the derivative of the height [m/s]."""
+        return np.where((t >= 0) & (side == self.wheel), self.stroke * self.omega * np.cos(self.omega * t), 0.0)
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the wheel, the frequency and the amplitude."""
+        return {"type": "plate", "wheel": self.wheel, "omega": self.omega, "stroke": self.stroke}
+
+    def scaled(self, factor: float) -> "Plate":
+        """Returns a plate that moves by a multiple of this stroke."""
+        return replace(self, stroke=factor * self.stroke)
+
+
+def _plate(wheel: str, omega: float, timestep: float) -> PeriodicRoad:
+    """Returns a plate with a frequency near this one [rad/s], of which whole periods are fitted."""
     _, samples = whole_periods(omega, timestep)
     samples *= max(1, round(WINDOW / (samples * timestep)))
-    return np.array([round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)]), samples
+    tried = round(samples * timestep * omega / (2 * np.pi)) * 2 * np.pi / (samples * timestep)
+    return PeriodicRoad(Plate(wheel, tried), np.array([tried]), samples)
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
@@ -133,23 +175,22 @@ def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float,
     return float(peak.x)
 
 
-def _load(
-    vehicle: Vehicle, one: tuple[Controller, int], omega: float, of: tuple[Array, int], run: Response, static: Mapping[str, float]
-) -> MinimumLoad:
-    """Returns the load of a wheel that is least at a frequency, from the end of its run at the one next to it, `_periods`."""
-    (controller, wheel), (tried, samples), timestep = one, of, float(run.time[1])
+def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float]) -> MinimumLoad:
+    """Returns the load of a wheel that is least at a frequency, from the end of its run at a frequency next to it, `_plate`."""
+    vehicle, controller, tried, timestep = run.vehicle, run.controller, run.on.omega, run.timestep
+    assert controller.linear is True, "minimum loads are those of linear laws"
     tyre = vehicle.kind.wheels[wheel].tyre_deflection
     share = STROKE / static[tyre]
     exact, integrated = (
         float(_amplitude(vehicle, controller, wheel, tried, timestep, exponential)[0]) for exponential in (linalg.expm, taylor4)
     )
-    ended = ended_by(vehicle, run, controller.has_anti_windup)
+    ended = ended_by(vehicle, run.response, controller.has_anti_windup)
     bends = bool(vehicle.parts.with_curve) or vehicle.parts.nonlinear
     if ended or bends:
         (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)
-        measured = max(0.0, 1 - float(limit.of(run)[-samples:].max()) / static[tyre])
+        measured = max(0.0, 1 - float(limit.of(run.response)[-run.on.samples :].max()) / static[tyre])
     else:
-        lines = fit(vehicle, controller, run, tried, samples, images(tried, vehicle, timestep))
+        lines = run.lines(with_images=True)
         carried = lines[tyre][0]
         if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
             carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])

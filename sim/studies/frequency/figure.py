@@ -17,7 +17,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.response import SILENT, loudest_alike
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.studies.frequency.describing_function import DescribingFunction
-from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
+from sim.studies.frequency.identification import Lines
+from sim.studies.frequency.sinusoids import HIGHEST, LOWEST
 from synth.controller.controller import Controller
 
 POINTS = 600  # of a line, as far apart as a hundredth of their frequency

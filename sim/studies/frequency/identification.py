@@ -1,10 +1,5 @@
 """Frequency responses and L2 gains measured in MuJoCo, compared with linear analysis.
 
-A run starts from rest, so its first seconds are its own free motion, and the passive car's takes a minute to die. Its *shape* is
-known, as it is that of the loop's poles; only its size is not. So the last period of a run is fitted, by least squares, with a
-sine and a cosine at every line and with those decaying shapes. A wrong frequency response cannot hide there: nothing decaying
-looks like a line over a whole period.
-
 In gains a weight that is a filter goes over the run from rest, on the straight lines between samples. Where the road has a
 filter, too, w is what comes in there; of a sinusoid it is known, and of another road it would take the inverse of the filter,
 which may not be.
@@ -24,18 +19,16 @@ from models.common.errors import InputError
 from models.laws.filter import Filter
 from models.roads.sinusoids import chirp
 from models.roads.spectrum import as_met
-from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.drive.case import Case
 from sim.drive.regime import ended_by
 from sim.drive.response import SILENT, Response, loudest_alike
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.linear.sampled_response import taylor4
-from sim.observers.recorder import record
 from sim.runs.run import sample_times
+from sim.studies.frequency.sinusoids import HIGHEST, PeriodicRoad, chirp_lines, drive_periodic
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
-from synth.plant.loop import Loop
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
@@ -63,20 +56,6 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     else:
         z = [_weighted(vehicle, side, period) for side in sides]
     return float(shape * _size(z) / _road_size(vehicle, response))
-
-
-def mean_square(vehicle: Vehicle, response: Response) -> float:
-    """Returns the mean square of z over the whole periods of a run's last samples, exact to the square of the step if forces are
-    held.
-
-    Args:
-        response: whole periods and one sample before them, which gives the first leap.
-    """
-    signals = _signals(vehicle, response)
-    sides = signals[1:], _before_leaps(vehicle, response, signals, periodic=False)[1:]
-    count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
-    weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
-    return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
 
 
 def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
@@ -137,12 +116,7 @@ def _filtered(one: Filter, values: Array, period: float) -> Array:
 
 
 Controllers = Annotated[Sequence[Controller], AT_LEAST_ONE]
-LOWEST, HIGHEST, LINES = 0.1, 25.0, 60  # Hz, Hz, lines between them, evenly on a logarithmic scale; equal ones fall together
-IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
-ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
-DEAD = 1e-12  # free motion that has decayed to this is none
-SETTLED = 1e-7  # what may be left of it where its shape is not fitted
-PATIENCE = 10.0  # s; free motion that takes longer, as that of integrators, is fitted and taken off
+LINES = 60  # of the chirp, see `chirp_lines`
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,127 +188,28 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, time
         (44,)
     """
     check(vehicle, controllers, amplitude, timestep)
-    steps = steps_per_sample(vehicle.implementation, timestep)
-    # In whole sample periods, so that the images of lines, which a slower controller makes, are other lines of the period.
-    vehicle, period = ideal_measurements(vehicle), round(1 / LOWEST / timestep / steps) * steps
-    omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, LINES)))
-    omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
-    time = sample_times(vehicle, 2 * period * timestep, timestep)[:-1]  # a period is as long as `PATIENCE`
-    road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
-    runs = record([Case(vehicle, controller, road) for controller in controllers], time, threads=0)
+    vehicle = ideal_measurements(vehicle)
+    omega, period = chirp_lines(vehicle, timestep, LINES)
+    road = chirp(omega, period * timestep, speed).to_height(amplitude, np.arange(period, 2 * period) * timestep)
+    runs = drive_periodic(vehicle, controllers, [PeriodicRoad(road, omega, period)] * len(controllers), timestep)
 
     inputs, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
     identified = []
-    for controller, run in zip(controllers, (one.response for one in runs), strict=True):
+    for controller, run in zip(controllers, runs, strict=True):
         sampled, half, integrated = (
             (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ inputs)[..., 0]
             for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))
         )
         continuous = (continuous_frequency_response(vehicle, controller, omega) @ inputs)[..., 0]
         far, near = (difference(one, continuous, units).max() for one in (sampled, half))
-        lines = fit(vehicle, controller, run, omega, period)
+        lines = run.lines()
         driven = lines[vehicle.kind.wheels[0].road_velocity]
         measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
-        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run, controller.has_anti_windup)
+        gain, ended = l2_gain(vehicle, run.response), ended_by(vehicle, run.response, controller.has_anti_windup)
         order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
         identified.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
     return identified
-
-
-def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
-    """Frequencies of the largest sinusoids that a controller makes besides the road's, as it samples every few steps [rad/s]."""
-    steps = steps_per_sample(vehicle.implementation, timestep)
-    rate = 2 * np.pi / (steps * timestep)
-    orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]
-    frequencies = np.unique(np.abs(np.concatenate([orders - omega, orders + omega])).ravel())
-    return frequencies[frequencies < np.pi / timestep]
-
-
-def fit(
-    vehicle: Vehicle, controller: Controller, response: Response, omega: Array, samples: int, besides: Array | None = None
-) -> dict[str, Array]:
-    """Complex amplitude of every line in every signal, shape (F,) each, from the last samples of a run.
-
-    Args:
-        omega: lines [rad/s], shape (F,).
-        samples: number of samples that are fitted.
-        besides: other lines [rad/s] that are in it, and are not asked for.
-    """
-    response, timestep = response.samples(slice(-samples, None)), float(response.time[1] - response.time[0])
-    if steps_per_sample(vehicle.implementation, timestep) > 1 and controller.measured:
-        loop = loop_of(vehicle, controller, timestep)
-        response = without_slow_motion(loop, response, settling_of(loop, SETTLED)[1], omega * loop.period)
-    time, samples = response.time, len(response.time)
-    if not np.all(np.isfinite(response.values)):
-        return {name: np.full(len(omega), np.nan + 0j) for name in response.names}
-    angle = np.multiply.outer(time, omega if besides is None else np.concatenate([omega, besides]))
-    free = _free_motion(vehicle, controller, float(time[1] - time[0]), samples)
-    shapes = np.hstack([np.ones((samples, 1)), np.cos(angle), -np.sin(angle), free])
-    coefficients = np.linalg.lstsq(shapes, response.values)[0]
-    count = angle.shape[1]
-    lines = coefficients[1 : 1 + count] + 1j * coefficients[1 + count : 1 + 2 * count]
-    return dict(zip(response.names, lines[: len(omega)].T, strict=True))
-
-
-def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    """Returns the free motions of the loop over some samples, shape (samples, k), without those that decay in as many before
-    them.
-    """
-    if steps_per_sample(vehicle.implementation, timestep) > 1:
-        if controller.measured:
-            return np.zeros((samples, 0))  # see `lead_in`
-        vehicle = replace(vehicle, implementation=Implementation())
-    poles = np.linalg.eigvals(loop_of(vehicle, controller, timestep).closed_loop.A)
-    poles = poles[np.abs(poles) > DEAD ** (1 / samples)].astype(complex)
-    motion = np.exp(np.multiply.outer(np.arange(samples), np.log(poles)))
-    return np.hstack([np.real(motion), np.imag(motion)])
-
-
-def lead_in(vehicle: Vehicle, controller: Controller, timestep: float, period: int) -> int:
-    """Returns the number of samples of a run before the fitted ones: a period, or more if free motion takes longer to decay.
-
-    Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They
-    resemble free motion, which therefore must have decayed, but for slow motion, which is taken off.
-    """
-    steps = steps_per_sample(vehicle.implementation, timestep)
-    if steps == 1 or not controller.measured:
-        return period
-    settling, _ = settling_of(loop_of(vehicle, controller, timestep), SETTLED)
-    return max(period, steps * math.ceil(settling / (steps * timestep)))
-
-
-def settling_of(loop: Loop, left: float) -> tuple[float, Array]:
-    """Returns how long a run along a periodic road settles [s], and the poles of what is left then, from sample to sample."""
-    poles = np.linalg.eigvals(loop.closed_loop.A)
-    slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
-    return (PATIENCE, slow) if len(slow) else (loop.period / len(loop.by_step) * math.log(left) / math.log(radius(loop)), slow)
-
-
-def without_slow_motion(loop: Loop, response: Response, poles: Array, turns: Array) -> Response:
-    """Returns a run along a periodic road without its mean and its slowest modes, which are fitted by least squares.
-
-    From sample to sample each line of the road turns by an angle, and a mode is multiplied by its pole, at each step of a sample
-    alike. No such decay looks like turning over many samples.
-
-    Args:
-        response: end of the run, long enough to separate the two.
-        poles: poles of the slow modes, from sample to sample.
-        turns: phase angles of the road's lines from sample to sample [rad], shape (L,).
-    """
-    if not len(poles) or not np.all(np.isfinite(response.values)):
-        return response
-    steps = len(loop.by_step)
-    count = len(response.time) // steps
-    whole = response.values[-count * steps :]
-    k = np.arange(count)
-    decay = np.exp(np.multiply.outer(k, np.log(poles.astype(complex))))
-    slow = np.hstack([np.ones((count, 1)), np.real(decay), np.imag(decay)])
-    angle = np.multiply.outer(k, turns)
-    shapes = np.hstack([slow, np.cos(angle), np.sin(angle)])
-    coefficients = np.linalg.lstsq(shapes, whole.reshape(count, -1))[0]
-    steady = whole - (slow @ coefficients[: slow.shape[1]]).reshape(whole.shape)
-    return Response(response.time[-len(whole) :], response.signals, steady)
 
 
 def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:

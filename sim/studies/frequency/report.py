@@ -17,7 +17,8 @@ from sim.observers.steps import WHEN
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
 from sim.studies.frequency.figure import HERTZ, STEP
-from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines
+from sim.studies.frequency.identification import Lines
+from sim.studies.frequency.sinusoids import HIGHEST, LOWEST
 from sim.studies.frequency.sweep import GAIN, Sweep, failures
 from sim.studies.frequency.worst_case_gain import MeasuredInvariant
 from synth.controller.report import NORM, judged_lines
@@ -56,8 +57,6 @@ NORMS: tuple[Field[Sweep], ...] = (
     Field("norm, continuous", lambda one: NORM.value(one.controller.certificate), NORM.form),
     Field("discrete-time norm at", lambda one: one.extremes.worst.omega, ".5g", unit="rad/s", column="held-road norm at [rad/s]"),
     Field("norm, sampled", lambda one: one.sampled and one.sampled.value, GAIN.form),
-    Field("worst road", lambda one: one.road and one.road.gain, GAIN.form),
-    Field("its timestep", lambda one: one.road and one.road.timestep, ".4g", 1e3, unit="ms"),
 )
 INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("controller", lambda of: of[0]),
@@ -156,8 +155,6 @@ def _largest(one: Sweep | None) -> str:
         text = "The gain for the worst sinusoid equals the discrete-time norm, and no other road has a larger gain"
     elif one.sampled is None:
         text = "The worst sinusoid has the predicted gain"
-    elif one.road is not None and not one.road.twisted:
-        text = "The worst road reaches the norm of the sampled loop"
     else:
         text = "No gain exceeds the norm of the sampled loop"
     return f"{text}; the invariant transfer functions hold." if one.extremes.invariants else f"{text}."
@@ -191,10 +188,6 @@ def _about(vehicle: Vehicle, sweeps: Sequence[Sweep], timestep: float) -> Iterat
         yield f"{held} A road that moves during a timestep can have a larger gain."
     if len(vehicle.kind.wheels) > 1:
         yield "All wheels pass the same road here. The norms of the designs allow a different road under each wheel."
-    if inside := [one.controller.name for one in sweeps if one.sampled is not None and one.road is None]:
-        yield f"Motion within a sample decides the sampled norm of {names_text(inside)}, so no periodic road is the worst."
-    if any(one.road is not None and one.road.twisted for one in sweeps):
-        yield "The sampled norm also includes warp of the road, which the worst road does not contain."
     yield from (f"{as_name(one.controller.name)}: {text}." for one in sweeps for text in judged_lines(one.controller))
 
 

@@ -16,7 +16,7 @@ from sim.runs.agreement import COARSEST, SLACK
 from sim.studies.frequency.describing_function import DescribingFunction, describing_failures, describing_object
 from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_object, minimum_loads
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
-from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_roads
+from sim.studies.frequency.worst_case_gain import Extremes, extremes
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented
@@ -27,7 +27,6 @@ TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher road
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # share of the road's height, and least height [m], at which turning is told from error
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
 REACHED = 1e-3  # below the norm
-DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is found
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
 GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
@@ -39,7 +38,6 @@ class Sweep:
     lines: Lines
     extremes: Extremes
     sampled: SampledNorm | None  # of the loop as implemented, exact; None without [implementation], or if the road is known
-    road: WorstRoad | None  # the one that reaches it; None where there is none such
     loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
     small: Lines | None = None  # over a tenth or a hundredth of the height, if lines are off and the vehicle turns or has curves
@@ -62,8 +60,7 @@ class Sweep:
     @property
     def ended(self) -> tuple[str, ...]:
         """Returns the ends of the linear regime in any of the runs."""
-        on_road = self.road.ended if self.road is not None else ()
-        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended, *on_road)))
+        return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended)))
 
     @property
     def gains(self) -> dict[str, float]:
@@ -100,10 +97,10 @@ def sweep(
         None if one.preview is not None or _reads_road(ideal, one) else norm_if_implemented(ideal, one.quiet, timestep)
         for one in controllers
     ]
-    roads, noise = worst_roads(ideal, controllers, norms, amplitude, timestep), vehicle.implementation.noise_text
+    noise = vehicle.implementation.noise_text
     return [
-        Sweep(line, extreme, norm, road, load, noise, small.get(line.controller.name))
-        for line, extreme, norm, road, load in zip(lines, most, norms, roads, loads, strict=True)
+        Sweep(line, extreme, norm, load, noise, small.get(line.controller.name))
+        for line, extreme, norm, load in zip(lines, most, norms, loads, strict=True)
     ]
 
 
@@ -147,7 +144,7 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
         if not invariant.error <= invariant.allowed:
             size, most = OFF.text(invariant.error), OFF.text(invariant.allowed)
             failed.append(f"|{invariant.name}| differs from its invariant value by {size}; {most} is allowed")
-    failed += road_failures(one) + load_failures(one.loads)
+    failed += load_failures(one.loads)
     if not one.is_bounded:
         return failed
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
@@ -161,19 +158,6 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     for road in gains:
         failed += _gain_failure(road, gains, what, norm, low if road == "worst sinusoid" else -math.inf, high)
     return failed
-
-
-def road_failures(one: Sweep) -> list[str]:
-    """Returns the failed claims of the worst road of a sampled loop, in words."""
-    if one.road is None or one.sampled is None:
-        return []
-    gains, predicted, norm = {"worst road": one.road.gain}, one.road.predicted, one.sampled.value
-    step = SLACK * abs(predicted - one.road.finer)  # energies between leaps are exact to the square of the timestep
-    near, low = ABOVE * one.road.gain, -math.inf if one.road.twisted else norm * (1 - REACHED) - step
-    return [
-        *_gain_failure("worst road", gains, "the prediction", predicted, predicted - near, predicted + near),
-        *_gain_failure("worst road", gains, "the norm of the sampled loop", norm, low, norm * (1 + DRIVEN) + step),
-    ]
 
 
 def _gain_failure(road: str, gains: Mapping[str, float], what: str, value: float, low: float, high: float) -> list[str]:
@@ -194,9 +178,6 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
         return describing_object(one)
     lines, norm, continuous = one.lines, one.extremes.worst, one.controller.certificate.norm.value
     error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
-    road = None
-    if one.road is not None:
-        road = {"gain": finite(one.road.gain), **{key: getattr(one.road, key) for key in ("predicted", "angle", "timestep")}}
     return {
         "controller": lines.controller.name,
         "without": one.without or None,
@@ -214,7 +195,7 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
             for i in one.extremes.invariants
         ],
         "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(continuous)},
-        **({} if one.sampled is None else {"sampled_norm": one.sampled.value, "worst_road": road}),
+        **({} if one.sampled is None else {"sampled_norm": one.sampled.value}),
         "minimum_load": load_object(one.loads),
         "gains": {name: finite(gain) for name, gain in one.gains.items()},
         "ended": list(one.ended),

@@ -1,4 +1,4 @@
-"""Margins drawn: growth or decay with more gain, delay and sample period, the norm with errors, and on other vehicles."""
+"""Margins drawn: growth or decay with more gain, delay and sample period."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,28 +9,19 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import as_name
 from models.document.field import Field
-from models.document.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
+from models.document.figure import BLUE, VERMILLION, Curve, Figure, Marker, Panel
 from models.vehicle.limits_and_implementation import Implementation
+from sim.linear.nonlinear_elements import at_rest
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
-from sim.studies.stability.fragility import FragilityFound
-from sim.studies.stability.robustness import Robustness
 from sim.studies.stability.simulated_loop import Trial
 from sim.studies.stability.study import StabilityMargins
-from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, radius
-from synth.controller.report import NORM
-from synth.design.uncertainty.fragility import worst_error_found
 
 POINTS, MEASURED = 40, 7  # of a predicted curve, and by MuJoCo's step
-AMOUNTS = 16  # of errors at which the worst norm is looked for
-RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
-SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
-MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
 SIZE = Field[float]("margin", float, ".5g")
 TIME = Field[float]("time", float, SIZE.form, 1e3, unit="ms")
-ERROR = Field[float]("error", float, ".4g", 100.0, unit="%")
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, BLUE, "o", "MuJoCo decays"),
     (True, VERMILLION, "x", "MuJoCo grows"),
@@ -42,9 +33,9 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
     The margin is the common zero of both.
     """
-    controller, fragile, loop, built = found.controller, found.fragile, found.loops[""], found.built.get("")
-    vehicle, timestep = fragile.vehicle, loop.timestep
-    prompt = loop_of(replace(vehicle, implementation=Implementation()), controller, timestep)
+    controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.built.get("")
+    timestep = loop.timestep
+    prompt = loop_of(replace(at_rest(vehicle), implementation=Implementation()), controller, timestep)
     cut = prompt.cut(prompt.forces)
 
     def rate(trial: Trial) -> float:
@@ -68,10 +59,6 @@ def margins_figure(found: StabilityMargins) -> Figure:
         _search_panel(f"{title}\n{_both(field, at, seen)}", label, search, rate, field.scale)
         for title, label, search, field, at, seen in searches
     ]
-    if math.isfinite(fragile.predicted.norm):
-        panels.append(_fragile_panel(fragile))
-    if found.box is not None:
-        panels.append(_box_panel(controller, found.box))
     lag, lead = predicted.smallest_phase, predicted.lead
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: growth of the slowest mode"
     title = f"{about}. Lines: linear analysis. Points: MuJoCo at {1e3 * timestep:g} ms"
@@ -112,51 +99,3 @@ def _multiples(amounts: Sequence[float], multiple: float) -> Array:
     """Returns amounts as multiples of one, from the first on; unchanged for real numbers."""
     given = np.array(amounts)
     return np.unique(np.maximum(np.round(given / multiple), 1) * multiple if multiple else given)
-
-
-def _fragile_panel(fragile: FragilityFound) -> Panel:
-    """Returns the panel of the worst norm over the size of errors: found, proved, and where MuJoCo decays and grows."""
-    predicted, search = fragile.predicted, fragile.edge.search
-    norm, stable = predicted.norm, predicted.stable
-    end = min(1.2 * stable.smallest_violation, 1.0)
-    known = [one.smallest_violation for one in predicted.within.values() if one.smallest_violation < end]
-    amounts = np.unique([*np.linspace(0.0, min(stable.smallest_violation, 1.0), AMOUNTS), *known])
-    largest = np.array([worst_error_found(fragile.gain, amount) for amount in amounts])
-    curves = [Curve(100 * amounts, np.where(np.isfinite(largest), largest, np.nan), "worst norm found", MET)]
-    steps = sorted((one.proved_margin, one.bound) for one in (*predicted.within.values(), stable) if one.proved_margin)
-    edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
-    curves.append(Curve(100 * edges, bounds, "proved upper bound", PROVED, "dash"))
-    low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
-    if math.isfinite(stable.smallest_violation):
-        curves.append(
-            Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable beyond", "#000000", width=0.8)
-        )
-    for grows, color, marker, name in MARKERS:
-        runs = 100 * np.array([a for a in (search.unstable if grows else search.stable,) if 0 < a <= end])
-        curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
-    both = _both(ERROR, stable.smallest_violation, fragile.edge.found) + " (extrapolated)" * fragile.edge.extrapolated
-    title = f"independent errors of all signals\n{both}"
-    return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
-
-
-def _box_panel(controller: Controller, box: Robustness) -> Panel:
-    """Returns the panel of the norm over the variations, with physics at the corners; the worst of any beyond two."""
-    percent = [100 * (factors - 1) for factors in box.factors]
-    labels = [f"change of {one.name} [%]" for one in box.varied]
-    norms = np.where(np.isfinite(box.norms), box.norms, np.nan)
-    at = 100 * (np.array([corner.factors for corner in box.corners]) - 1)
-    fine = np.array([corner.decays and corner.agrees for corner in box.corners])
-    verdict = "MuJoCo agrees at every corner" if box.holds else "MuJoCo DOES NOT AGREE at every corner"
-    nominal = controller.certificate.norm.value
-    title = f"other vehicles: worst norm {NORM.digits(box.norm)}, nominal {NORM.digits(nominal)}\n{verdict}"
-    if len(percent) == 1:
-        curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
-        heights = np.array([corner.norm for corner in box.corners])
-    else:
-        worst = norms.max(axis=tuple(range(2, norms.ndim)))
-        curves, ground, height, heights = [], Shades(percent[0], percent[1], worst.T, "H-infinity norm"), np.zeros(1), at[:, 1]
-    curves.append(Curve(np.zeros(1), height, "nominal", "#000000", "none", "+"))
-    for good, color, marker, _ in MARKERS:
-        some = fine != good
-        curves.append(Curve(at[some, 0], heights[some], "", color, "none", marker))
-    return Panel(title, labels[0], labels[1] if ground else "H-infinity norm", tuple(curves), ground)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Self
 
 import numpy as np
 
@@ -63,7 +62,7 @@ class GainMargin:
         derivative: Callable[[float], StateSpace],
         trial: Callable[[float], Trial],
         most: float,
-    ) -> Self:
+    ) -> "GainMargin":
         """Returns a margin with its searches, not yet run, at the timestep and at finer ones that show the loop's own.
 
         Args:
@@ -92,16 +91,16 @@ class GainMargin:
         """Returns the searches that were run, each with the margin predicted for the sampled loop at its timestep."""
         return [(at, one) for at, one in zip(self.sampled, self.searches, strict=True) if one.searched]
 
-    @classmethod
-    def limit(cls, coarse: float, fine: float) -> float:
+    @staticmethod
+    def limit(coarse: float, fine: float) -> float:
         """Returns the margin at timestep zero from those at a step and at half of it; infinite if it grows without end."""
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
 
-    @classmethod
-    def shown_by(cls, own: float, coarse: float, fine: float) -> bool:
+    @staticmethod
+    def shown_by(own: float, coarse: float, fine: float) -> bool:
         """Returns True if margins of the sampled loop at a step and at half of it allow to extrapolate to the loop's own."""
         within = max(abs(fine - coarse) / 2, AGREES * own)
-        return all(_close(own, cls.limit(coarse, share * fine), within) for share in (1 - ENDS, 1 + ENDS))
+        return all(_close(own, GainMargin.limit(coarse, share * fine), within) for share in (1 - ENDS, 1 + ENDS))
 
     @property
     def doubtful(self) -> bool:

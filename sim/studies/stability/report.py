@@ -5,24 +5,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from models.common.printed import WIDTH, as_name, finite
+from models.common.printed import as_name, finite
 from models.document.document import NOTE, Document, Statement, Table, apart, notes
 from models.document.field import Field
 from models.document.reading import Pivot
-from models.document.text import HANG, names_text
+from models.document.text import names_text
 from models.parts.lines import lines_at_rest
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import bent_at_rest
 from sim.studies.stability.edge import SLOWEST, StabilityEdge
 from sim.studies.stability.figure import SIZE, margins_figure
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
-from sim.studies.stability.robustness import ParameterVertex, Robustness, varied_text
 from sim.studies.stability.study import StabilityMargins
 from synth.analysis.specification import FREQUENCY
 from synth.controller.law_margins import TURN, decibels
-from synth.controller.report import NORM
 from synth.controller.stability_margins import LARGEST_FACTOR
-from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text
 
 IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
 AGREES = {True: "agrees", False: "DOES NOT AGREE"}
@@ -77,21 +74,6 @@ COMPARED: tuple[Field[tuple[str, Row]], ...] = (
     Field("MuJoCo", lambda of: FOUND.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
 )
 FACTOR = Field[float]("factor", float, ".3g")
-VALUE = Field[float]("value", float, ".4g")
-CORNER: tuple[Field[ParameterVertex], ...] = (
-    Field("norm", lambda corner: corner.norm, NORM.form),
-    Field("motion in MuJoCo", lambda corner: "decays" if corner.decays else "GROWS"),
-    Field("linear response", lambda corner: AGREES[corner.agrees]),
-)
-BOX: tuple[Field[StabilityMargins], ...] = (
-    Field("controller", lambda of: of.controller.name),
-    Field("norm", lambda of: of.controller.certificate.norm.value, NORM.form),
-    Field("largest norm", lambda of: of.box and of.box.norm, NORM.form, column="worst norm"),
-    Field("of vehicles", lambda of: of.box and of.box.computed, ".0f"),
-    Field("at", lambda of: of.box and _values(of.box.at)),
-    Field("MuJoCo at the corners", lambda of: of.box and AGREES[of.box.holds], column="corners: MuJoCo and analysis say the"),
-    Field("margins", lambda of: AGREES[not of.wrong]),
-)
 
 
 def margins_object(found: StabilityMargins) -> dict[str, Any]:
@@ -99,28 +81,19 @@ def margins_object(found: StabilityMargins) -> dict[str, Any]:
 
     Margins of gain, phase and disk are those of the implemented loop, if that differs; `ideal` then has the ideal ones.
     """
-    controller, fragile, box = found.controller, found.fragile, found.box
+    controller = found.controller
     objects = {name: _loop_object(one) for name, one in found.loops.items()}
     for name, one in found.built.items():
         implemented, ideal = ({key: of[key] for key in IMPLEMENTED} for of in (_loop_object(one), objects[name]))
         objects[name] |= implemented | {"ideal": ideal}
-    edge = {"mujoco": finite(fragile.edge.found), **_sampled_object(fragile.edge)}
-    edge |= {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
-    names = controller.measured, found.vehicle.linear_model.inputs
+    promises = [promise.record for promise in controller.robustness]
     return {
         "controller": controller.name,
         **objects.pop(""),
         "loops": objects,
-        "fragility": fragility_object(fragile.predicted, fragile.rounding, *names) | edge,
-        "robustness": box and _box_object(box),
+        **({"weighted_errors": promises} if promises else {}),
         "loop": " ".join(loop_texts(found.vehicle)) or None,
     }
-
-
-def _box_object(box: Robustness) -> dict[str, Any]:
-    corners = [one.parameters | {"norm": finite(one.norm), "stable": one.decays, "agrees": one.agrees} for one in box.corners]
-    varied = {one.name: [one.smallest, one.largest] for one in box.varied}
-    return {"varied": varied, "computed": box.computed, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
 
 
 def _loop_object(one: LoopMargins) -> dict[str, Any]:
@@ -162,25 +135,13 @@ def describe(found: StabilityMargins) -> Document:
     for name, one in loops:
         table = Table.of(name, "", MARGINS, _loop_rows(found, one))
         blocks.append(Document(f"{name}, the others closed", (table,), "full" if one.agrees else "normal"))
-    blocks += [_errors_document(found), _box_document(found)]
+    blocks += [Document("", notes(*(one.text for one in controller.robustness)))] if controller.robustness else []
     return Document("", apart(*notes(*filter(None, [" ".join(texts)])), *blocks, *verdicts([found])))
-
-
-def _errors_document(found: StabilityMargins) -> Document:
-    """Returns the errors that the loop tolerates, and the effect of errors and rounding on the norm."""
-    controller, fragile, worst = found.controller, found.fragile, _worst_errors(found)
-    short, whole = (proved_text(fragile.predicted, norms=norms) for norms in (False, True))
-    details = [f"the smallest errors that make the loop unstable are {worst}"] * (len(worst) > WIDTH - HANG)
-    details += [whole.removeprefix(short).removeprefix("; "), rounding_text(controller.certificate.norm.value, fragile.rounding)]
-    others = (f"{text[0].upper()}{text[1:]}." for text in details if text)
-    promises = notes(*(promise.text for promise in controller.robustness))
-    return Document("", (*notes(f"{short[0].upper()}{short[1:]}."), *notes(*others, detail="full"), *promises))
 
 
 def compare(found: Sequence[StabilityMargins]) -> Document:
     """Returns the margins of several controllers of a vehicle as a document with figures."""
-    vehicle, timestep, box = found[0].vehicle, found[0].loops[""].timestep, found[0].box
-    varied = box.text if box else varied_text(vehicle.kind)
+    vehicle, timestep = found[0].vehicle, found[0].loops[""].timestep
     texts = [
         "Each margin applies to all actuators together. It is predicted from the loop transfer function, and found in MuJoCo "
         f"from the derivative of a step of {1e3 * timestep:g} ms. Two runs confirm the margin: one decays, and one grows.",
@@ -188,35 +149,30 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
         "force may have any complex factor f with |f - 1| / |f + 1| < d/2.",
         "Phase and delay have no limit if no eigenvalue of the loop transfer function L has magnitude 1 at any frequency. "
         f"A gain has no limit if the loop is stable up to factor {LARGEST_FACTOR:g}.",
-        f"Other vehicles: {varied}. Nothing is proved between the vehicles that were computed.",
         *loop_texts(vehicle),
         *(f"{as_name(one.controller.name)}: {promise.text}." for one in found for promise in one.controller.robustness),
     ]
     rows = [(one.controller.name, row) for one in found for row in _rows(one) if not row.extra]
     caption = "Largest change of each quantity before the loop is unstable: predicted, and found in MuJoCo."
     pivot = Pivot(("margin",), "controller", ("predicted", "dB or °", "MuJoCo"))
-    tables = (
-        Table.of("margins", caption, COMPARED, rows, 2, pivot),
-        Table.of("robustness", "Largest norm of vehicles with other parameters, and MuJoCo at the range corners.", BOX, found),
-    )
+    table = Table.of("margins", caption, COMPARED, rows, 2, pivot)
     figures = (replace(margins_figure(one), name=f"margins-{one.controller.name}") for one in found)
-    return Document("Stability margins", (*verdicts(found), *notes(*texts), *figures, *tables))
+    return Document("Stability margins", (*verdicts(found), *notes(*texts), *figures, table))
 
 
 def verdicts(found: Sequence[StabilityMargins]) -> list[Statement]:
     """Returns statements on the predicted margins of some controllers."""
     agreed, statements = [one for one in found if one.agrees], list[Statement]()
     if agreed:
-        edges = [one.fragile.edge.found for one in agreed]
-        for loop in (loop for one in agreed for loop in one.loops.values()):
-            edges += [loop.gain.found, loop.found_gain_lower, loop.found_delay, loop.found_sample_period]
+        loops = [loop for one in agreed for loop in one.loops.values()]
+        edges = [
+            each for one in loops for each in (one.gain.found, one.found_gain_lower, one.found_delay, one.found_sample_period)
+        ]
         decided = ", where its runs are decisive" if any(map(math.isnan, edges)) else ""
-        others = f", also for {len(agreed[0].box.corners)} other vehicles" if agreed[0].box else ""
         names = names_text(one.controller.name for one in agreed)
-        statements.append(Statement(f"MuJoCo agrees with the predicted margins of {names}{decided}{others}.", "holds"))
+        statements.append(Statement(f"MuJoCo agrees with the predicted margins of {names}{decided}.", "holds"))
     for one in (one for one in found if not one.agrees):
-        wrong = "; ".join(one.wrong + ["other vehicles"] * bool(one.box and not one.box.holds))
-        text = f"MuJoCo DOES NOT AGREE with the predicted margins of {as_name(one.controller.name)}: {wrong}."
+        text = f"MuJoCo DOES NOT AGREE with the predicted margins of {as_name(one.controller.name)}: {'; '.join(one.wrong)}."
         statements.append(Statement(f"{text} Try a smaller timestep.", "fails"))
     return statements
 
@@ -246,14 +202,9 @@ def _fixed(found: StabilityMargins) -> float | None:
 
 
 def _rows(found: StabilityMargins) -> list[Row]:
-    """Returns the margins of all actuators together: of the implemented loop, of the ideal loop, and for errors."""
-    edge, ideal = found.fragile.edge, ", ideal loop" * bool(found.built)
+    """Returns the margins of all actuators together: of the implemented loop, and of the ideal loop."""
     rows = _loop_rows(found, found.built[""]) if found.built else []
-    worst = _worst_errors(found)
-    note = _joined(UNDECIDED * math.isnan(edge.found), worst * (len(worst) <= WIDTH - HANG))
-    rows += _loop_rows(found, found.loops[""], ideal)
-    rows.append(Row("error of each signal [%]", 100 * edge.own, 100 * edge.found, note, edge.extrapolated))
-    return [*rows, *_sampled_rows(edge, scale=100.0)]
+    return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.built))]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:
@@ -301,10 +252,10 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     return rows
 
 
-def _sampled_rows(gain: GainMargin, power: int = 1, scale: float = 1.0) -> list[Row]:
+def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
     """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     return [
-        Row(f"  sampled every {1e3 * search.timestep:g} ms", scale * at**power, scale * search.found**power, extra=True)
+        Row(f"  sampled every {1e3 * search.timestep:g} ms", at**power, search.found**power, extra=True)
         for at, search in gain.tried
         if gain.finer.searched
     ]
@@ -319,32 +270,3 @@ def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
     missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)
     return _joined(*texts, missed, reason if edge.decided else UNDECIDED)
-
-
-def _worst_errors(found: StabilityMargins) -> str:
-    """Returns the smallest errors that make the loop unstable."""
-    if math.isinf(found.fragile.edge.own):
-        return "no instability found up to 100 %"
-    return errors_text(found.fragile.predicted.stable, found.controller.measured, found.vehicle.linear_model.inputs)
-
-
-def _values(parameters: dict[str, float]) -> str:
-    """Returns parameters with their values."""
-    return ", ".join(f"{name.replace('_', ' ')} {VALUE.text(value)}" for name, value in parameters.items())
-
-
-def _box_document(found: StabilityMargins) -> Document:
-    """Returns what other vehicles make of the norm."""
-    if (box := found.box) is None:
-        if math.isinf(found.controller.certificate.norm.value):
-            return Document("", notes("Other vehicles are not compared, because the loop has no finite norm."))
-        return Document("", notes(f"Other vehicles: {varied_text(found.vehicle.kind)}."))
-    worst = NORM.text(box.norm) if math.isfinite(box.norm) else "infinite"
-    text = f"Other vehicles ({box.text}): the largest of {box.computed} norms is {worst}. "
-    text += "Nothing is proved for the vehicles between these."
-    factors = [
-        Field[ParameterVertex](one.name, lambda corner, i=i: corner.factors[i] - 1, "+.0f", 100.0, unit="%")
-        for i, one in enumerate(box.varied)
-    ]
-    corners = Table.of("corners", "", (*factors, *CORNER), box.corners, detail="full" if box.holds else "normal")
-    return Document("", (*notes(text), *notes(f"The largest norm is at {_values(box.at)}.", detail="full"), *apart(corners)))

@@ -1,16 +1,13 @@
 """Margins of controllers, predicted and found in MuJoCo: the result of which text, JSON and figures are made."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from models.kinds.kind import Variation
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.studies.stability.edge import no_progress
-from sim.studies.stability.fragility import FragilityFound, find_fragility
 from sim.studies.stability.margin_search import LoopMargins, find_all, implemented_searches, loops_of, searches
-from sim.studies.stability.robustness import Robustness, robustness
 from synth.controller.controller import Controller
 
 
@@ -23,28 +20,24 @@ class StabilityMargins:
         controller: the controller.
         loops: margins of the ideal loop, cut at all actuators under "", and at each of several if requested.
         built: the same of the implemented loop; empty if it has neither sample period nor delay.
-        fragile: the errors that the ideal loop tolerates.
-        box: the controller on other vehicles, or None if nothing varies.
     """
 
     vehicle: Vehicle
     controller: Controller
     loops: dict[str, LoopMargins]
     built: dict[str, LoopMargins]
-    fragile: FragilityFound
-    box: Robustness | None
 
     @property
     def wrong(self) -> list[str]:
         """Returns the names of the margins for which MuJoCo contradicts the prediction."""
         loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.built.items()]
         loops += [(name or "the loop", one) for name, one in self.loops.items()]
-        return [name for name, one in loops if not one.agrees] + ["errors"] * (not self.fragile.agrees)
+        return [name for name, one in loops if not one.agrees]
 
     @property
     def agrees(self) -> bool:
-        """Returns True if MuJoCo has the predicted margins, and other vehicles are as predicted."""
-        return not self.wrong and (self.box is None or self.box.holds)
+        """Returns True if MuJoCo has the predicted margins."""
+        return not self.wrong
 
 
 def stability_margins(
@@ -52,15 +45,13 @@ def stability_margins(
     controllers: Sequence[Controller],
     timestep: float,
     progress: Callable[[str], None] = no_progress,
-    variations: Mapping[Variation, tuple[str, ...]] | None = None,
     each_loop: bool = True,
 ) -> list[StabilityMargins]:
     """Returns the margins of each controller for the vehicle in equilibrium.
 
     Args:
         timestep: MuJoCo's timestep [s].
-        progress: callback that receives the name of a stage, or a line on its progress.
-        variations: result of `read_variations`; None for the variations of the vehicle type.
+        progress: callback that receives the name of the stage, or a line on its progress.
         each_loop: True to find the margins of each of several actuators, too.
     """
     progress("margins")
@@ -71,9 +62,4 @@ def stability_margins(
     late = {} if vehicle.implementation.undelayed else parts
     implemented = [{name: implemented_searches(built, one, cut, timestep) for name, cut in late.items()} for one in controllers]
     find_all([margins for each in (*loops, *implemented) for margins in each.values()], progress)
-    progress("fragility")
-    fragile = [find_fragility(ideal, one, timestep, progress) for one in controllers]
-    progress("other vehicles")
-    whole = replace(vehicle.with_ideal_actuators, implementation=Implementation())
-    boxes = robustness(whole, controllers, timestep, progress, variations)
-    return [StabilityMargins(vehicle, *of) for of in zip(controllers, loops, implemented, fragile, boxes, strict=True)]
+    return [StabilityMargins(vehicle, *of) for of in zip(controllers, loops, implemented, strict=True)]

@@ -141,13 +141,6 @@ def box_of_all(gain: ScaledGain, amount: float) -> Box:
     return box_of(gain, amount, amount if gain.forces > 1 else 0.0)
 
 
-def worst_error_found(gain: ScaledGain, amount: float) -> float:
-    """Returns the largest norm found with errors of readings and several forces up to an amount; infinite if unstable."""
-    heights = WorstCaseNormFunction(gain)
-    local_maximum(heights, box_of_all(gain, amount))
-    return heights.highest
-
-
 def _at(gain: ScaledGain, errors: Array | float) -> Array:
     return np.ones(sum(gain.K.shape)) + errors
 
@@ -277,10 +270,10 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     return f"fragility: {_percents(found)} errors of {whose(report)} ({errors}) make the loop unstable; {proved}"
 
 
-def proved_text(report: Fragility, norms: bool = True) -> str:
-    """Returns the proved margins in words, those of the norm if requested."""
+def proved_text(report: Fragility) -> str:
+    """Returns the proved margins in words."""
     text = f"stability is {_proved_text(report.stable, 'each error')}"
-    for share, one in report.within.items() if norms else ():
+    for share, one in report.within.items():
         beyond = f", and errors of {_percents(one.smallest_violation)} exceed it" if math.isfinite(one.smallest_violation) else ""
         text += f"; a norm at most {_percents(share)} higher is {_proved_text(one, 'errors')}{beyond}"
     return text
