@@ -16,13 +16,13 @@ from sim.drive.drive import StoppedError, drive
 from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGED, Block
 from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
-from sim.linear.dampers import is_linear
 from sim.observers.ends import End, Ends
 from sim.observers.steps import WHEN
 from sim.observers.twin import Twin
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
+from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
@@ -31,7 +31,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     Their laws are linear and act at once on exact signals, or not at all; no curve bends, and no law sets adjustable dampers.
     """
     vehicle = runs[0].vehicle
-    linear = all(run.controller.linear is True and is_linear(run.vehicle, run.controller) for run in runs)
+    linear = all(is_linear(run.controller, run.vehicle) for run in runs)
     silent = not any(run.controller.acts for run in runs)
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.parts.nonlinear
 

@@ -78,8 +78,8 @@ class Recorder:
         """Returns the recording of every run."""
         batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
         names = ("values", "qpos", "qvel", "requested_force", "kept", "measured")
-        arrays = {name: np.concatenate([getattr(one, name) for one in self._blocks]) for name in names if len(self._blocks) > 1}
-        values, qpos, qvel, commands, kept, measured = (arrays.get(name, getattr(first, name)) for name in names)
+        parts = [[getattr(one, name) for one in self._blocks] for name in names]
+        values, qpos, qvel, commands, kept, measured = (np.concatenate(one) if len(one) > 1 else one[0] for one in parts)
         time, gone = batch.time, batch.time[:, None] >= batch.diverged
         values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
         response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))
