@@ -17,8 +17,8 @@ from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGED, Block
 from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
 from sim.observers.ends import End, Ends
-from sim.observers.steps import WHEN
-from sim.observers.twin import Twin
+from sim.observers.registry import observer
+from sim.observers.results import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
@@ -26,7 +26,7 @@ from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if a `Twin` responds exactly as the runs do.
+    """Returns True if a `sim.observers.twin.Twin` responds exactly as the runs do.
 
     Their laws are linear and act at once on exact signals, or not at all; no curve bends, and no law sets adjustable dampers.
     """
@@ -79,7 +79,8 @@ class RowObserver:
 
         first = campaign.first if random else 0
         self._meter, self._ends = meter(first), Ends(batch)
-        self._twin = Twin(batch, self._ends, None if random else meter(first)) if _is_exact(runs) else None
+        twin = observer("twin") if _is_exact(runs) else None
+        self._twin = None if twin is None else twin(batch, self._ends, None if random else meter(first))
 
     def take(self, block: Block) -> None:
         """Takes the next block."""

@@ -22,24 +22,12 @@ from sim.drive.driver import steps_ahead
 from sim.drive.drivers.registry import driver_of
 from sim.linear.outputs import forces_ahead
 from sim.linear.rounding import roundings
-from sim.observers.recorder import Recording
-from sim.observers.steps import LocalAgreement, from_steady
+from sim.observers.recorder import Recording, from_steady
+from sim.observers.results import CommandAgreement
 from synth.controller.controller import AnyController, Controller
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
-
-
-@dataclass(frozen=True)
-class CommandAgreement(LocalAgreement):
-    """Differences of a run's measurements, commands and law states from its control law.
-
-    Attributes:
-        repeatable: False if the law gave two answers to the same measurements when it was started again twice. Its commands are
-            then not compared.
-    """
-
-    repeatable: bool = True
 
 
 Difference = tuple[

@@ -97,6 +97,16 @@ class Recorder:
         return recordings
 
 
+def from_steady(road: RoadInput, response: Response) -> Response:
+    """Returns a response measured from the steady motion in which its vehicle starts; itself if that is rest."""
+    steady = road.steady_signals(response.time)
+    if steady is None:
+        return response
+    values = response.values.copy()
+    values[..., : steady.shape[-1]] -= steady
+    return Response(response.time, response.signals, values)
+
+
 def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:
     """Returns the recordings of some cases at sample times [s]; arguments as of `drive`."""
     (recordings,) = drive(cases, time, Recorder, threads=threads)

@@ -1,9 +1,9 @@
 """The drivers by name: the class or function of each, in a file of its own, makes the driver of some controllers."""
 
-import importlib
 from collections.abc import Sequence
 
 from models.common.errors import InputError
+from models.common.lazy import named
 from sim.drive.driver import Driver, Failure, RunDriver
 
 DRIVERS = {  # name -> module and what makes the driver of (controllers, failures, numbers), see `driver_of`
@@ -34,5 +34,4 @@ def driver_of(
     name = name or controllers[0].driver_key[0]
     if name not in DRIVERS:
         raise InputError(f"no driver {name!r} runs this controller; known are {', '.join(DRIVERS)}")
-    module, _, made = DRIVERS[name].partition(":")
-    return getattr(importlib.import_module(module), made)(controllers, failures, numbers)
+    return named(DRIVERS[name])(controllers, failures, numbers)
