@@ -35,12 +35,13 @@ laws and families in files                                      255    347    10
 foreign FMU as a controller                                     146    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
 laws in Python                                                  677    732    103
-    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
+    models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            193    411    130
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1268    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
+    sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
@@ -143,7 +144,9 @@ measured logs beside runs                                       523    315     9
 map of validity                                                1201    369     33
     sim/envelope.py sim/studies/validity/{__init__,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py docs/how-to/envelope.md
 MuJoCo loop                                                    2973    991     18
-    sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py sim/observers/*
+    sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
+    sim/drive/drivers/{__init__,linear,recorded,registry}.py
+    sim/observers/*
     tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                                778    411      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
