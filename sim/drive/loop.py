@@ -117,11 +117,12 @@ class Loop:
         self.timestep = timestep
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in batch.vehicles}
-        self.hardware = {key: hardware(other) for key, other in distinct.items()}
-        one_of = {self.hardware[key]: other for key, other in distinct.items()}
-        self.models = {}
-        if len(one_of) > 1:
-            self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
+        self.hardware, self.models = dict[int, tuple[object, ...]](), dict[tuple[object, ...], mujoco.MjModel]()
+        if len(distinct) > 1:
+            self.hardware = {key: hardware(other) for key, other in distinct.items()}
+            one_of = {self.hardware[key]: other for key, other in distinct.items()}
+            if len(one_of) > 1:
+                self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
         # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
         # that the reading lacks is added.
         readout = self.readout
@@ -337,7 +338,7 @@ class _Signals:
         readout, first = loop.readout, vehicles[0]
         names = [signal.name for signal in first.kind.signals]
         self.readout, self.after, self.actuators = readout, loop.after, actuators
-        self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
+        self.place = (np.array(names)[:, None] == np.array(readout.names)).astype(float)
         missing = {one.missing for one in first.parts.adjustable}
         self.physical = [i for i, name in enumerate(names) if name not in missing]
         self.of_parts = self.place @ readout.of_parts
