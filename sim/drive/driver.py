@@ -1,4 +1,4 @@
-"""What drives N runs side by side, from measurements to requests; `sim.drive.drivers` has the drivers, one file each.
+"""Protocol of drivers of N runs side by side, from measurements to requests. `sim.drive.drivers` has one file for each driver.
 
 A driver receives the measurements after noise and quantisation. The request that it returns passes through the computer's delay
 (`sim.drive.computer`) and the actuators (`sim.drive.actuators`).
