@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_a_campaign_without_twins_has_no_linear_error(monkeypatch):
 
 def test_edges_of_margins_are_not_run_without_growth(monkeypatch):
     """The derivative of the step has decided an edge. Without the observer no run follows."""
-    edge = SimpleNamespace(stable=1.0, unstable=1.1, runs={}, search=lambda: None)  # no `trial`, which a run would take
+    edge: Any = SimpleNamespace(stable=1.0, unstable=1.1, runs={}, search=lambda: None)  # no `trial`, which a run would take
     monkeypatch.delitem(OBSERVERS, "growth")
     search_and_run([edge])
     assert edge.runs == {}
