@@ -1,4 +1,4 @@
-"""Public names of a package that are imported at their first use (PEP 562), so that `import sim` is fast.
+"""Public names of a package, and names of registries, that are imported at their first use, so that `import sim` is fast.
 
 A function that is called by its public name checks its arguments first (`models.common.checks`). The packages themselves do not
 use these names.
@@ -14,6 +14,12 @@ TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
+
+
+def named(where: str) -> "Any":
+    """Returns what a registry names as "module:name"."""
+    module, _, name = where.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":

@@ -7,6 +7,7 @@ from typing import Any, NoReturn, TypeVar
 from models.common.errors import InputError
 
 T = TypeVar("T")
+DriverKey = tuple[str, *tuple[object, ...]]
 Design = Callable[[str], T]  # of a linear controller, by its name
 
 
@@ -22,8 +23,19 @@ class ControlLaw:
     has_anti_windup = False
     preview = None  # force from the road ahead, a `RoadPreview`
     code: Any = None  # the `ExportedCode` that computes the outputs in runs
+    implemented = True  # False if the sampling, delay and rate limit of the vehicle file do not apply
     false_claims: tuple[str, ...] = ()  # of its certificate, in words
     specifications = ()  # of its design or evaluation
+
+    @property
+    def law_key(self) -> DriverKey:
+        """Name of the driver of the law in `sim.drive.drivers.registry`, then what is equal for laws that one driver takes."""
+        return ("linear",)
+
+    @property
+    def driver_key(self) -> DriverKey:
+        """The `law_key` of what computes the outputs in runs: the law, or its exported code."""
+        return self.law_key if self.code is None else ("code", self.code.sha256)
 
     @property
     def states(self) -> int:

@@ -20,7 +20,7 @@ from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, error_in, listing, quoted
 from models.common.files import origin, read_bytes, read_text
 from models.common.schema import HERE, SI, TEXT, ReadBy, Section
-from models.laws.law import ControlLaw, Design, LawSource
+from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
@@ -147,6 +147,11 @@ class Programmed(ControlLaw):
     law: PythonLaw
     source: str = field(repr=False)
     function: Any = None
+
+    @property
+    def law_key(self) -> DriverKey:
+        """See `ControlLaw`."""
+        return ("python", id(self))
 
     @property
     def kind(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.schema import SI, Choice, Section, keys
-from models.laws.law import ControlLaw, Design, LawSource
+from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -227,6 +227,11 @@ class SemiActive(ControlLaw):
     name: str
     law: SemiActiveLaw
     code: Any = None
+
+    @property
+    def law_key(self) -> DriverKey:
+        """See `ControlLaw`."""
+        return ("semi_active", self.law.name, self.law.measured)
 
     @property
     def kind(self) -> str:

@@ -1,9 +1,9 @@
 """All parts that a vehicle file can have, and those of a vehicle."""
 
-import importlib
 from functools import cache
 from typing import Any
 
+from models.common.lazy import named
 from models.parts.part import Part, Parts, SuspensionPart
 from models.parts.ratio import AtRatio, Constant
 
@@ -27,8 +27,7 @@ PARTS = {  # name -> module and class
 @cache
 def part_class(name: str) -> Any:
     """Returns the class of a part."""
-    module, _, named = PARTS[name].partition(":")
-    return getattr(importlib.import_module(module), named)
+    return named(PARTS[name])
 
 
 def parts_of(vehicle: Any) -> Parts:

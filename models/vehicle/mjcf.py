@@ -142,8 +142,8 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     A part without a form native to MuJoCo has a motor on its tendon.
     """
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
-    pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions]
-    pairs, parts = [pair for pair in pairs if pair[0] in names - sensed], [one for one in vehicle.parts if one.acts]
+    new, parts = names - sensed, [one for one in vehicle.parts if one.acts]
+    pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions if part.velocity.name in new]
     if not (pairs or parts):
         return
     from models.parts.native import Tendon, sense_velocities
@@ -296,7 +296,9 @@ def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
 
 def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     """Returns the wheels whose tyres damp, and the actuator of each, controlled by the road's velocity."""
-    actuators = {model.actuator(i).name: i for i in range(model.nu)} if vehicle.linear_model.tyres_damp else {}
+    if not vehicle.linear_model.tyres_damp:
+        return [], []
+    actuators = {model.actuator(i).name: i for i in range(model.nu)}
     names = [actuator_of(wheel.tyre_deflection) for wheel in vehicle.kind.wheels]
     some = [i for i, name in enumerate(names) if name in actuators]
     return some, [actuators[names[i]] for i in some]

@@ -16,22 +16,22 @@ from sim.drive.drive import StoppedError, drive
 from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGED, Block
 from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
-from sim.linear.dampers import is_linear
 from sim.observers.ends import Ends, RunEnd
-from sim.observers.steps import WHEN
-from sim.observers.twin import Twin
+from sim.observers.registry import observer
+from sim.observers.results import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness_object
+from synth.controller.controller import is_linear
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if a `Twin` responds exactly as the runs do.
+    """Returns True if a `sim.observers.twin.Twin` responds exactly as the runs do.
 
     Their laws are linear and act at once on exact signals, or not at all; no curve bends, and no law sets adjustable dampers.
     """
     vehicle = runs[0].vehicle
-    linear = all(run.controller.linear is True and is_linear(run.vehicle, run.controller) for run in runs)
+    linear = all(is_linear(run.controller, run.vehicle) for run in runs)
     silent = not any(run.controller.acts for run in runs)
     return linear and (silent or vehicle.implementation.ideal) and not vehicle.parts.nonlinear
 
@@ -79,8 +79,9 @@ class RowObserver:
 
         first = campaign.first if random else 0
         self._meter, self._ends = meter(first), Ends(batch)
-        self._linear = meter(first) if _is_exact(runs) and not random else None
-        self._twin = Twin(batch, self._ends, self._linear) if _is_exact(runs) else None
+        twin = observer("twin") if _is_exact(runs) else None
+        self._linear = None if twin is None or random else meter(first)
+        self._twin = None if twin is None else twin(batch, self._ends, self._linear)
 
     def take(self, block: Block) -> None:
         """Takes the next block."""

@@ -171,7 +171,7 @@ def batch_of(
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
             velocities = np.stack([road.velocities for road in inputs], axis=1)
     else:
-        same = _same_roads(inputs)
+        same = _same_roads(inputs) if count > 1 else inputs
         now, midway, velocities = (np.stack([getattr(one, name) for one in same], axis=1) for name in KEPT)
         beyond = np.stack([road.ahead(ahead) for road in same], axis=1)
     held = np.stack([road.held for road in inputs], axis=1) if any(road.pushed for road in inputs) else None

@@ -2,28 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.python_law import Programmed, is_driver
-from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.actuators import Actuators, closing_names
-from sim.drive.driver import (
-    Driver,
-    Failure,
-    LinearDriver,
-    PythonDriver,
-    RecordedDriver,
-    RecordedForces,
-    RunDriver,
-    SemiActiveDriver,
-)
-from synth.controller.controller import Controller
+from sim.drive.driver import Driver, RunDriver
 
 
 class Computer:
@@ -88,12 +75,11 @@ class Computer:
             commands: commands of all runs of the batch, shape (N, size), which change in place.
         """
         for i, number in enumerate(np.arange(len(commands))[self.runs].tolist()):
-            if number in starts:
-                state, forces = starts[number]
-                self._state[i, : len(state)] = state
-                if len(forces):
-                    self._waiting[-len(forces) :, i] = forces  # before sample 0
-                    commands[number] = forces[0]
+            state, forces = starts.get(number, ((), []))
+            self._state[i, : len(state)] = state
+            if len(forces):
+                self._waiting[-len(forces) :, i] = forces  # before sample 0
+                commands[number] = forces[0]
 
     def step(self, k: int, signals: Array, commands: Array) -> None:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
@@ -145,45 +131,10 @@ def measurement_noise(how: Sequence[Implementation], names: Sequence[str], sampl
 
 
 def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
-    """Returns the implementation around a controller: without the delay that it has itself, and none for known commands."""
+    """Returns the implementation around a controller: without what the law or its code has itself, none for known commands."""
     how = vehicle.implementation
-    if isinstance(controller, RecordedForces):
+    if not controller.implemented:
         return Implementation()
+    if controller.code is not None:
+        return replace(how, delay=0.0, quantisation={})
     return replace(how, delay=max(how.delay - controller.own_delay, 0)) if how.delay else how
-
-
-def kind_of(controller: RunDriver) -> tuple[object, ...]:
-    """Returns a key that is equal for controllers that one driver serves side by side."""
-    if (code := controller.code) is not None:
-        return "code", code.sha256
-    match controller:
-        case Programmed():
-            return "python", id(controller)
-        case SemiActive():
-            return "semi-active", controller.law.name, controller.law.measured
-        case _:
-            return (type(controller),)
-
-
-def driver_of(
-    controllers: Sequence[RunDriver], failures: dict[int, Failure] | None = None, numbers: Sequence[int] = ()
-) -> Driver:
-    """Returns the driver of N controllers whose `kind_of` is equal.
-
-    Args:
-        failures, numbers: see `PythonDriver`.
-    """
-    first, some = controllers[0], cast("Any", controllers)
-    if first.code is not None:
-        from sim.drive.exported_code import CodeDriver
-
-        return CodeDriver(some)
-    match first:
-        case Programmed():
-            return first.function if is_driver(first.function) else PythonDriver(first, failures, numbers)
-        case SemiActive():
-            return SemiActiveDriver(some)
-        case RecordedForces():
-            return RecordedDriver(some)
-        case Controller():
-            return LinearDriver(some)

@@ -79,7 +79,8 @@ def drive(
         if streamed:
             edges = [*range(0, len(time), BLOCK), len(time)]
         serial = any(one.serial for one in batch.drivers)
-        parts = [batch.part(runs) for runs in _shares(len(numbers), 1 if serial else threads or cores())]
+        shares = _shares(len(numbers), 1 if serial else threads or cores())
+        parts = [batch] if len(shares) == 1 else [batch.part(runs) for runs in shares]
         pieces = [functools.partial(_observed, loop, part, edges, observers) for part in parts]
         if len(pieces) == 1:
             done = [(0, pieces[0](stopped))]
@@ -95,6 +96,8 @@ def drive(
 def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
     """Returns the numbers of the cases that can be stepped side by side, group by group."""
     distinct = {id(one.vehicle): one.vehicle for one in cases}
+    if len(distinct) == 1:
+        return [[*range(len(cases))]]
     models = {key: hardware(one) for key, one in distinct.items()}
     one_of = {models[key]: one for key, one in distinct.items()}
     alike = {key: reads_out(one, timestep) if len(one_of) > 1 else b"" for key, one in one_of.items()}
@@ -110,7 +113,9 @@ def _shares(count: int, threads: int) -> list[slice]:
     Each share has its batch and thread. That is faster than one batch on all threads: those wait while Python has its turn, and
     on a busy machine for each other.
     """
-    shares = max(1, min(threads, count // FEWEST))
+    shares = min(threads, count // FEWEST)
+    if shares <= 1:
+        return [slice(None)]
     edges = [count * i // shares for i in range(shares + 1)]
     return [slice(*pair) for pair in itertools.pairwise(edges)]
 

@@ -18,8 +18,9 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive import RUNS_AT_ONCE
 from sim.drive.actuators import Actuators, closing_names
 from sim.drive.case import Batch, Case, State
-from sim.drive.computer import Computer, driver_of, implementation_around, kind_of
+from sim.drive.computer import Computer, implementation_around
 from sim.drive.driver import RunDriver
+from sim.drive.drivers.registry import driver_of
 from sim.drive.sensor_readout import (
     batch_of,
     beside_reading,
@@ -116,11 +117,12 @@ class Loop:
         self.timestep = timestep
         self.model, self.readout = prepared(first, timestep)
         distinct = {id(other): other for other in batch.vehicles}
-        self.hardware = {key: hardware(other) for key, other in distinct.items()}
-        one_of = {self.hardware[key]: other for key, other in distinct.items()}
-        self.models = {}
-        if len(one_of) > 1:
-            self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
+        self.hardware, self.models = dict[int, tuple[object, ...]](), dict[tuple[object, ...], mujoco.MjModel]()
+        if len(distinct) > 1:
+            self.hardware = {key: hardware(other) for key, other in distinct.items()}
+            one_of = {self.hardware[key]: other for key, other in distinct.items()}
+            if len(one_of) > 1:
+                self.models = {key: build_model(other, timestep, drawn=False) for key, other in one_of.items()}
         # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
         # that the reading lacks is added.
         readout = self.readout
@@ -157,14 +159,12 @@ class Loop:
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
             if one is not None:
-                groups.setdefault((kind_of(one), steps_per_sample(implementation, timestep)), []).append(i)
+                groups.setdefault((one.driver_key, steps_per_sample(implementation, timestep)), []).append(i)
         computers, names = [], [self.readout.names[i] for i in self.seen]
         for some in groups.values():
             mine = [one for i in some if (one := controllers[i]) is not None]
             cars, around = [vehicles[i] for i in some], [how[i] for i in some]
-            if mine[0].code is not None:
-                around = [replace(one, delay=0.0, quantisation={}) for one in around]  # the code has its own
-            driver = driver_of(mine, batch.failures, [batch.numbers[i] for i in some])
+            driver = driver_of(mine, failures=batch.failures, numbers=[batch.numbers[i] for i in some])
             runs = slice(None) if len(some) == len(vehicles) else np.array(some)
             computers.append(Computer(driver, runs, cars, around, actuators, names, roads[:, some], timestep, len(batch.now)))
         return computers
@@ -338,7 +338,7 @@ class _Signals:
         readout, first = loop.readout, vehicles[0]
         names = [signal.name for signal in first.kind.signals]
         self.readout, self.after, self.actuators = readout, loop.after, actuators
-        self.place = np.array([[name == one for one in readout.names] for name in names], dtype=float)
+        self.place = (np.array(names)[:, None] == np.array(readout.names)).astype(float)
         missing = {one.missing for one in first.parts.adjustable}
         self.physical = [i for i, name in enumerate(names) if name not in missing]
         self.of_parts = self.place @ readout.of_parts

@@ -37,7 +37,7 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
         units: their units.
         still: `STILL`, or its square for squares of sizes.
     """
-    largest = {unit: sizes[..., [one == unit for one in units]].max(axis=-1) for unit in {*units}}
+    largest = {unit: sizes[..., np.array(units) == unit].max(axis=-1) for unit in {*units}}
     for turned, along in ALONG.items():
         if turned in largest and along in largest:
             still_now = largest[turned] <= still * largest[along]

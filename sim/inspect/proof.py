@@ -16,7 +16,7 @@ from sim.drive.response import Response
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
 from sim.inspect.log import Log, RecordedRun
 from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
-from sim.observers.steps import ALLOWED, DIFFERENCE
+from sim.observers.results import ALLOWED, DIFFERENCE
 from sim.recording.run_log import CONTINUOUS, MEASURED, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING

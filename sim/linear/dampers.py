@@ -8,7 +8,6 @@ from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.drive.recursion import way_in_step
 from sim.drive.response import Response
-from synth.controller.controller import Controller
 
 MOST_SQUARED = 1e150  # N
 
@@ -41,13 +40,6 @@ def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
     own = states[..., len(vehicle.linear_model.states) - len(vehicle.kind.of_parts) :]
     return of.closing(states @ stretching(vehicle).T * MotionRatios([vehicle]).turns(travels), travels, own)
-
-
-def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a run is linear until a limit is reached: the vehicle has no adjustable dampers, or its controller is
-    passive.
-    """
-    return not vehicle.dampers or not controller.law.acts
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:

@@ -17,28 +17,17 @@ from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import CommandLimiter, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.actuators import closing_names
-from sim.drive.computer import driver_of, implementation_around, measurement_noise
+from sim.drive.computer import implementation_around, measurement_noise
 from sim.drive.driver import steps_ahead
+from sim.drive.drivers.registry import driver_of
 from sim.linear.outputs import forces_ahead
 from sim.linear.rounding import roundings
-from sim.observers.recorder import Recording
-from sim.observers.steps import LocalAgreement, from_steady
+from sim.observers.recorder import Recording, from_steady
+from sim.observers.results import CommandAgreement
 from synth.controller.controller import AnyController, Controller
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
-
-
-@dataclass(frozen=True)
-class CommandAgreement(LocalAgreement):
-    """Differences of a run's measurements, commands and law states from its control law.
-
-    Attributes:
-        repeatable: False if the law gave two answers to the same measurements when it was started again twice. Its commands are
-            then not compared.
-    """
-
-    repeatable: bool = True
 
 
 Difference = tuple[
@@ -74,8 +63,7 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
     """
     vehicle, h = road.vehicle, road.timestep
     how = implementation_around(controller, vehicle)
-    period, coded = steps_per_sample(how, h), controller.code is not None
-    count = int(np.searchsorted(road.time, recording.diverged))
+    period, count = steps_per_sample(how, h), int(np.searchsorted(road.time, recording.diverged))
     due, outputs = np.arange(0, count, period), vehicle.linear_model.outputs
     noise = measurement_noise([how], (*outputs, *[""] * len(closing_names(vehicle))), len(road.time))
     columns = []
@@ -83,13 +71,13 @@ def compare_commands(controller: AnyController, road: RoadInput, recording: Reco
         seen = recording.measured[name][due]
         if len(noise):
             seen = seen + noise[due, 0, outputs.index(name)]
-        if not coded and (step := how.quantisation.get(name)):
+        if step := how.quantisation.get(name):
             seen = step * np.round(seen / step)
         columns.append(seen)
     closing = [recording.measured[name][due] for name in closing_names(vehicle)]
     y, velocities = (np.stack(one, axis=1) if one else np.zeros((len(due), 0)) for one in (columns, closing))
     samples = _Samples(due, period, y, velocities, recording.law_states[due] / controller.state_scale(period * h))
-    late = 0 if coded else round(how.delay * period)
+    late = round(how.delay * period)
     readings = [*_readings(controller, road, recording, due)]
 
     def answer() -> list[Difference]:
@@ -156,7 +144,7 @@ def _commands(
     arrived = (np.arange(count) - late) // samples.period  # sample whose command acts at each timestep
     after, limiter = None, command_limiter([vehicle], road.timestep)
     logged = recording.commands[samples.due[samples.due + late < count] + late, : len(inputs)]
-    if controller.user_code is True or controller.code is not None:
+    if controller.user_code is True or controller.driver_key[0] not in ("linear", "semi_active"):
         computed = _again(controller, road, samples)
         if limiter is not None and driver_of([controller]).requests != "commands":
             computed = _limited(limiter, computed, logged)

@@ -42,10 +42,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
-from models.common.printed import difference
-from models.document.document import Document
-from models.document.field import Field
-from models.document.text import Shown, facts
 from models.kinds.signals import names_of
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
@@ -57,94 +53,18 @@ from sim.drive.recursion import lag_stages, lagging
 from sim.drive.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
 from sim.drive.response import Response
 from sim.observers.recorder import Recording
+from sim.observers.results import BALANCED, ROUNDING, Energy
 
 if TYPE_CHECKING:
     from models.parts.damper_range import SetColumn
     from models.parts.part import SettablePart, SuspensionPart
     from models.parts.settable import SetElement
 
-# Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
-# vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
-BALANCED = 1e-3
-JOULES = Field[float]("energy", float, ".5g", unit="J")
 # The same without kinks, over the fourth power of the step times the vehicle's fastest rate. Random vehicles of every
 # kind leave up to 0.02 over bumps and random roads from 0.5 to 4 ms, and 0.07 at 8 ms.
 SMOOTH, SMALLEST = 0.2, 1e-7
-# A fault leaves as much at any step, and what RK4 leaves falls with the second power of the step, or a higher one. So a run that
-# leaves more is driven at half the step, too, and this times the fall is allowed on top: 4 / 3 of it is the error of the second
-# power. A wheel of 7 kg on a tyre of 430 kN/m, often in the air, leaves 2.6e-3 at 1 ms and 5.7e-4 at half of it.
-FALLS, COARSEST = 1.5, 0.1  # and the largest residual that confirms a balance; a larger one is not evaluated
 NEAR = 0.95  # share of a tyre's or a suspension's distance to a kink at which it may reach the kink within a step
-ROUNDING = 1e-8  # smallest turnover, relative to the energy at rest: below it the residual is rounding
 AT_ONCE = 4096  # states that are evaluated together
-
-
-@dataclass(frozen=True, repr=False)
-class Energy(Shown):
-    """Energy balance of a run, from its start to its end or to the time at which it broke off.
-
-    Attributes:
-        road: work of the road [J].
-        actuators: work of the actuators [J].
-        stored: change of the kinetic and potential energy [J].
-        dissipated: energy taken by the dampers [J].
-        turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic energy [J].
-        loads: work of the loads on the body [J], or None if there are no loads.
-        allowed: largest residual that the integrator explains: RK4's own if no force has a kink, else `BALANCED`; more if half
-            the step leaves less.
-        residual: largest magnitude at any time of works less stored and dissipated energy, over `turnover`.
-        least: least power taken by an adjustable damper at any sample, over the largest; below 0 if it gave energy. None if the
-            vehicle has no adjustable dampers.
-    """
-
-    road: float
-    actuators: float
-    stored: float
-    dissipated: float
-    turnover: float
-    residual: float
-    least: float | None = None
-    loads: float | None = None
-    allowed: float = BALANCED
-
-    @property
-    def shown(self) -> Document:
-        """Returns whether it balances, and the energies."""
-        parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
-        title = (
-            f"energy {self.verdict}: the residual is {difference(self.residual)} of the {JOULES.text(self.turnover)} exchanged"
-        )
-        return facts(title, {name: JOULES.text(one) for name, one in parts.items() if one is not None})
-
-    @property
-    def fails(self) -> bool:
-        """Returns True if the residual is more than the integrator's error, or a damper gave energy."""
-        return not self.residual <= self.allowed or (self.least is not None and self.least < -ROUNDING)
-
-    @property
-    def judged(self) -> bool:
-        """Returns False if the integrator's error explains the residual, but is too large to confirm a balance."""
-        return self.fails or self.allowed <= COARSEST
-
-    @property
-    def balances(self) -> bool:
-        """Returns True if the residual is within the integrator's error, and no damper gave energy."""
-        return self.judged and not self.fails
-
-    @property
-    def verdict(self) -> str:
-        """The verdict, in words."""
-        return "DOES NOT BALANCE" if self.fails else "balances" if self.judged else "is not evaluated"
-
-    @property
-    def doubtful(self) -> bool:
-        """Returns True if more is left over than is usual: half the step tells an error of RK4 from a fault."""
-        return self.residual > self.allowed
-
-    def beside(self, finer: "Energy") -> "Energy":
-        """Returns the balance with its allowed residual, given the same run at half the step."""
-        falls = max(0.0, self.residual - finer.residual)
-        return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))
 
 
 def energy(run: Recording, until: float = np.inf) -> Energy:

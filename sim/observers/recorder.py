@@ -77,10 +77,9 @@ class Recorder:
     def result(self) -> list[Recording]:
         """Returns the recording of every run."""
         batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
-        values, qpos, qvel, commands, kept, measured = (
-            getattr(first, name) if len(self._blocks) == 1 else np.concatenate([getattr(one, name) for one in self._blocks])
-            for name in ("values", "qpos", "qvel", "requested_force", "kept", "measured")
-        )
+        names = ("values", "qpos", "qvel", "requested_force", "kept", "measured")
+        parts = [[getattr(one, name) for one in self._blocks] for name in names]
+        values, qpos, qvel, commands, kept, measured = (np.concatenate(one) if len(one) > 1 else one[0] for one in parts)
         time, gone = batch.time, batch.time[:, None] >= batch.diverged
         values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
         response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))
@@ -96,6 +95,16 @@ class Recorder:
             seen = dict(zip(first.names, measured[:, i].T, strict=True))
             recordings.append(Recording(case, on, one, qpos[:, i], qvel[:, i], seen, commands[:, i]))
         return recordings
+
+
+def from_steady(road: RoadInput, response: Response) -> Response:
+    """Returns a response measured from the steady motion in which its vehicle starts; itself if that is rest."""
+    steady = road.steady_signals(response.time)
+    if steady is None:
+        return response
+    values = response.values.copy()
+    values[..., : steady.shape[-1]] -= steady
+    return Response(response.time, response.signals, values)
 
 
 def record(cases: "list[Case]", time: Array, threads: int = 1) -> list[Recording]:

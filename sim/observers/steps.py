@@ -18,7 +18,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.document.field import Field
 from models.kinds.signals import names_of
 from models.parts.part import STEP
 from models.roads.road import RoadInput
@@ -29,51 +28,14 @@ from sim.drive.recursion import SHARES, WEIGHTS, lag_stages, lagging
 from sim.drive.response import Response
 from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.rounding import roundings
-from sim.observers.recorder import Recording
+from sim.observers.recorder import Recording, from_steady
+from sim.observers.results import StepAgreement
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
 UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls
-WHEN = Field[float]("time", float, ".4g", unit="s")
-DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
-ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
-
-
-@dataclass(frozen=True)
-class LocalAgreement:
-    """Result of one of the two local checks.
-
-    Attributes:
-        error: the difference with the largest ratio to its allowed value, over the signal's peak.
-        allowed: the allowed value of that signal, over its peak.
-        signal: name of that signal, command or law state.
-        since: time of the first step or sample that differs by more than is allowed [s], or infinity.
-    """
-
-    error: float
-    allowed: float
-    signal: str
-    since: float
-
-    @property
-    def agrees(self) -> bool:
-        """Returns True if every step or command is right."""
-        return self.error <= self.allowed
-
-
-@dataclass(frozen=True)
-class StepAgreement(LocalAgreement):
-    """Differences of the physics from the vehicle's exact equations over single steps, and at their starts.
-
-    Attributes:
-        until: steps that begin before this time are compared [s]; infinite for all.
-        lost: True if the equations do not take the state at that time.
-    """
-
-    until: float
-    lost: bool = False
 
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
@@ -86,25 +48,16 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
         return None
 
 
-def from_steady(road: RoadInput, response: Response) -> Response:
-    """Returns a response measured from the steady motion in which its vehicle starts; itself if that is rest."""
-    steady = road.steady_signals(response.time)
-    if steady is None:
-        return response
-    values = response.values.copy()
-    values[..., : steady.shape[-1]] -= steady
-    return Response(response.time, response.signals, values)
-
-
-def compare_steps(
-    motion: "Motion", road: RoadInput, recording: Recording, until: float, rounding: Mapping[str, float]
-) -> StepAgreement:
-    """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
+def compare_steps(road: RoadInput, recording: Recording, until: float, rounding: Mapping[str, float]) -> StepAgreement | None:
+    """Returns the comparison of every step of physics that ends before a time [s] with the vehicle's equations, or None without
+    them.
 
     Args:
         road: vehicle and road that the run is said to have.
         rounding: rounding error of every output signal in the loop, see `sim.linear.rounding`.
     """
+    if (motion := motion_of(road.vehicle)) is None:
+        return None
     measured, physics = recording.measured, from_steady(road, recording.response.until(until))
     starts = _starts(motion, road, physics, recording.commands)
     if not len(starts.state):

@@ -13,7 +13,7 @@ from models.document.figure import rgb
 from models.document.text import markdown
 from sim.drive.regime import REGIME_ENDS
 from sim.drive.response import Response
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_curves, signals_of
 from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (

@@ -17,7 +17,7 @@ import rerun.blueprint as rrb
 import rerun.chunk
 
 from models.common.arrays import Array
-from sim.observers.steps import DIFFERENCE as GAP
+from sim.observers.results import DIFFERENCE as GAP
 from sim.recording.pages import DIFFERENCE, Page, Plot, colour_of, pages
 from sim.recording.rerun_contents import (
     TIMELINE,

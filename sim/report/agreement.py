@@ -13,7 +13,7 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.reading import Pivot
 from models.document.text import names_text
 from sim.command.road_options import end_lines
-from sim.observers.steps import DIFFERENCE, WHEN
+from sim.observers.results import DIFFERENCE, WHEN
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.prediction import LINEAR, NONLINEAR

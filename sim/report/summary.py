@@ -13,7 +13,7 @@ from models.document.reading import Pivot
 from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
 from sim.runs.report import SIZE, verdict

@@ -32,9 +32,9 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states, roundings
-from sim.observers.commands import CommandAgreement, compare_commands
-from sim.observers.recorder import Recording
-from sim.observers.steps import DIFFERENCE, WHEN, StepAgreement, compare_steps, from_steady, motion_of
+from sim.observers.recorder import Recording, from_steady
+from sim.observers.registry import observer
+from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreement
 from sim.runs.code_effect import CodeEffect
 from sim.runs.prediction import Prediction
 
@@ -154,7 +154,7 @@ class Agreement(Shown):
         lift_off: intervals [s] in which a tyre is off the ground.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         linear: differences from linear analysis, while that applies.
-        steps: steps against the vehicle's exact equations, also after `until`; None for a vehicle type without them.
+        steps: steps against the vehicle's exact equations, also after `until`; None if they are not known.
         commands: commands against the control law; None if they are not known, as in the log of a law in Python.
         code_effect: difference of exported code from the law, which must be small; None without such code.
     """
@@ -228,14 +228,14 @@ def compare(prediction: Prediction, recording: Recording) -> Agreement:
         if foretold < until:
             ended[FLAT.name] = until = foretold
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
-    if (motion := motion_of(vehicle)) is not None:
+    if (compare_steps := observer("steps")) is not None:
         end = min(ended[FLAT.name], diverged)
         if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
             end = min(end, ended[LIFT_OFF.name], loose)
-        steps = compare_steps(motion, road, recording, end, rounding)
-        if steps.lost:
+        steps = compare_steps(road, recording, end, rounding)
+        if steps is not None and steps.lost:
             until = min(until, steps.until)
-    if not prediction.replayed:
+    if not prediction.replayed and (compare_commands := observer("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)
     linear = LinearComparison(prediction, physics, until)
     return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, prediction.code_effect)

@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import finite
 from sim.drive.response import Response
-from sim.observers.steps import DIFFERENCE
+from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
 
 MOST = 1e-2  # of a peak; code that moves a signal by more is not that of the law

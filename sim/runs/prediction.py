@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import with_decisions
 from sim.drive.response import Response
 from sim.linear.sampled_response import continuous_response, sampled_response, taylor4
-from synth.controller.controller import AnyController
+from synth.controller.controller import AnyController, is_linear
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
@@ -85,23 +85,21 @@ class Prediction:
     @cached_property
     def radius(self) -> float:
         """Growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear."""
-        controller = self.controller
-        if not self.is_linear or controller.linear is not True:
+        if not is_linear(self.controller, self.vehicle):
             return math.nan
-        loop = loop_of(self.vehicle, controller, self.timestep)
+        loop = loop_of(self.vehicle, self.controller, self.timestep)
         return radius(loop) if len(loop.open_loop.A) <= self.most_states else math.nan
 
     @cached_property
     def loop(self) -> Loop | None:
         """The linear loop in continuous time, or None."""
-        controller = self.controller
-        return loop_of(self.vehicle, controller) if self.is_linear and controller.linear is True else None
+        return loop_of(self.vehicle, self.controller) if is_linear(self.controller, self.vehicle) else None
 
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
     def _sampled(self) -> tuple[Response, Response, Response | None]:
         """Returns `sampled`, `integrated` and `finer`."""
-        controller, road = self.controller, self.input
+        controller, road = self.controller if self.controller.linear is True else None, self.input
         if not self.is_linear:
             states = self.continuous.signals[len(self._nothing.signals) :]
             nothing = self._nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
@@ -109,10 +107,10 @@ class Prediction:
         if self.vehicle.parts.nonlinear:
             from sim.linear.stepped import forced, stepped
 
-            runs = stepped([controller], [road]) if controller.linear is True else forced(self.requested_force, road)
+            runs = forced(self.requested_force, road) if controller is None else stepped([controller], [road])
             response = with_decisions(runs.single, [self.vehicle])
             return response, response, runs.finer.run(0)
-        if controller.linear is True:
+        if controller is not None:
             respond = partial(sampled_response, controller, road)
         else:
             from sim.linear.forced_response import forced_response

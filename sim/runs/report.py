@@ -33,8 +33,7 @@ from sim.drive.regime import (
     departures,
 )
 from sim.drive.response import Response
-from sim.observers.energy import JOULES, Energy
-from sim.observers.steps import ALLOWED, DIFFERENCE, WHEN, LocalAgreement
+from sim.observers.results import ALLOWED, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult

@@ -12,7 +12,7 @@ from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, broken_by
 from sim.drive.response import Response
-from sim.observers.energy import Energy
+from sim.observers.results import Energy
 from sim.runs.agreement import Agreement
 from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController

@@ -23,8 +23,9 @@ from sim.drive.case import Case
 from sim.drive.regime import FLAT
 from sim.drive.response import Response
 from sim.linear.sampled_response import largest_timestep
-from sim.observers.energy import energy
 from sim.observers.recorder import Recording, record
+from sim.observers.registry import observer
+from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
 from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
@@ -127,8 +128,8 @@ def run_controllers(
         balanced: False leaves out positions, energy and the change by half the step.
     """
     recordings = record([Case(vehicle.driven_by(one.name), one, road) for one in controllers], time)
-    pairs = zip(controllers, recordings, strict=True)
-    runs = compare_runs([predicted(controller, one.input, one.commands) for controller, one in pairs], recordings)
+    each = zip(controllers, recordings, strict=True)
+    runs = compare_runs([predicted(controller, one.input, one.commands) for controller, one in each], recordings)
     return with_energy_balance(runs, recordings) if balanced else runs
 
 
@@ -196,6 +197,7 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         runs: runs over the same sample times, with vehicles of the same type.
         recordings: the same runs with their states.
     """
+    energy: Callable[..., Energy | None] = observer("energy") or (lambda run, until: None)
     runs = [
         replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.ended[FLAT.name]))
         for run, one in zip(runs, recordings, strict=True)
@@ -209,8 +211,8 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
-            if balance is not None and balance.doubtful:
-                balance = balance.beside(energy(finer[k], until=run.agreement.ended[FLAT.name]))
+            if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.ended[FLAT.name])):
+                balance = balance.beside(half)
             half_step = _half_step(run, finer[k].response) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs

@@ -15,7 +15,7 @@ from models.roads.profile import Profile
 from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.rounding import roundings
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
 RUN_IN = 10.0  # s, of the turned road at most

@@ -9,7 +9,7 @@ from models.characteristics import SIDES
 from models.document.field import Field, json_object
 from models.parts.part import Part
 from sim.drive.regime import AT, BUMP_STOP
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
 

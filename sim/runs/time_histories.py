@@ -11,7 +11,7 @@ from models.common.printed import as_name
 from models.document.figure import GREY, Curve, Figure, Panel, Style, margined, styles, thinned
 from models.kinds.signals import Signal
 from sim.drive.response import Response
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.runs.report import SIZE
 from sim.runs.result import RunResult
 

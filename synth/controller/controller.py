@@ -1,7 +1,7 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
 
 import numpy as np
 
@@ -209,6 +209,11 @@ class Controller(ControlLaw, Checked, Shown):
 
 
 AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+
+
+def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
+    """Returns True if a run is linear until a limit is reached: its law is, and acts on no adjustable dampers."""
+    return controller.linear is True and not (vehicle.dampers and controller.acts)
 
 
 def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:

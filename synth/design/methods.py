@@ -10,11 +10,11 @@ It raises an InputError, such as a DesignError, where it finds no controller.
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 
 from models.common.errors import InputError, alike
+from models.common.lazy import named
 from models.laws.design_methods import METHODS
 from models.laws.law_structure import FULL
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
@@ -33,8 +33,7 @@ def method_of(name: str) -> Method:
     """
     if name not in METHODS:
         raise InputError(f"design method {name!r} is not known; known are {alike(name, METHODS)}")
-    module, _, function = METHODS[name].partition(":")
-    return getattr(import_module(module), function)
+    return named(METHODS[name])
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:

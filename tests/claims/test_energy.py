@@ -12,7 +12,7 @@ from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.drive.response import Response
-from sim.observers.energy import Energy
+from sim.observers.results import Energy
 from sim.observers.steps import motion_of
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design

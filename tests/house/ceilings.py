@@ -21,10 +21,10 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3045   2138      0
+what all commands share: files, options, checks, tables of numbers   3051   2138      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           6039   2166    332
+vehicle file, types, equations, MJCF                           6053   2166    332
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
@@ -34,13 +34,14 @@ laws and families in files                                      255    347    10
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     146    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  677    732    103
-    models/laws/{python_law,python_runtime,user_code}.py tests/models/test_python_laws.py
+laws in Python                                                  769    732    103
+    models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            193    412    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1268    755    204
+semi-active dampers and laws                                   1304    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
+    sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
@@ -53,7 +54,7 @@ curves of dampers and springs, statistical linearisation       3192   2170    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    194      0
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2150   1771      0
+parts of a suspension                                          2149   1807      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -87,8 +88,8 @@ sampled data: norm, bound, designs, rates                      2056   1235    11
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3271   1455     96
-    synth/controller/export/** synth/command/export*.py sim/drive/exported_code.py
+export: C99, fixed point, FMI, MATLAB                          3272   1455     96
+    synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                           915    741    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
@@ -106,12 +107,12 @@ certificates, norms, lower bounds                              3355   2294     6
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3012   2177    322
+plant algebra, filters, any plant                              3011   2129    322
     synth/plant/* models/laws/{design_methods,filter}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3375    650    155
+synth command, controller record, designer                     3380    650    155
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
@@ -124,31 +125,33 @@ recordings: MCAP, Foxglove, Rerun                              2196   1139     4
 page and figures                                               4117   1353     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2745   1800    195
+campaigns                                                      2746   1800    195
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               719    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
     docs/explanation/verification.md
-margins in physics                                             1933    823     72
+margins in physics                                             1934    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1740    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2268   1265      0
+ride metrics and their expectation                             2269   1265      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-map of validity                                                1201    369     33
+map of validity                                                1200    369     33
     sim/envelope.py sim/studies/validity/{__init__,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2980    991     18
-    sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py sim/observers/*
-    tests/*/test_{drivers,energy,hardware,reality,shares}.py docs/explanation/energy-balance.md
+MuJoCo loop                                                    2928   1090     18
+    sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
+    sim/drive/drivers/{__init__,linear,recorded,registry}.py
+    sim/observers/*
+    tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py docs/explanation/energy-balance.md
 linear responses                                                778    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      2936   1061     60
+runs, verdict, their text                                      2935   1061     60
     sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
@@ -158,7 +161,7 @@ commands that drive                                            1116   1002    40
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4150   1570
+house, pages, benchmarks                                          0   4196   1570
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*

@@ -1,4 +1,4 @@
-"""Every part of a suspension can be removed: without its file and its line in the registry, all else works."""
+"""What only a registry names can be removed: without its file and its lines in the registry, all else works."""
 
 import re
 import shutil
@@ -7,40 +7,76 @@ import sys
 
 import pytest
 
+from models.laws.design_methods import METHODS
 from models.parts.registry import PARTS
+from sim.drive.drivers.registry import DRIVERS
+from sim.observers.registry import OBSERVERS
 from tests.support.commands import ROOT, in_the_suite
 from tests.support.sources import sources
 
+REGISTRIES = {
+    "models/parts/registry.py": PARTS,
+    "sim/drive/drivers/registry.py": DRIVERS,
+    "sim/observers/registry.py": OBSERVERS,
+    "models/laws/design_methods.py": METHODS,
+}
+BUMP = 'from sim.bump import main; sys.exit(main("--controller passive --duration 0.2 --no-logs".split()))', "agrees"
+USE = {  # what works without a module, and prints; the passive vehicle, which each command drives, has a linear law
+    "models/laws/design_methods.py": ('from synth.__main__ import main; sys.exit(main(["--controller", "I"]))', "7.843188"),
+    "sim.drive.drivers.linear": (
+        "from models import Bump, read_vehicle\nfrom sim import run\n"
+        "print(*run(read_vehicle('quarter_car'), lambda y, state: (-2e3 * y['sprung_velocity'], state), Bump(0.05), 0.2))",
+        "agrees",
+    ),
+}
 CHECK = """
 import importlib, pathlib, sys
-from models.parts.registry import PARTS
-assert sys.argv[1] not in PARTS
 for folder in ("models", "synth", "sim"):
     for path in sorted(pathlib.Path(folder).rglob("*.py")):
         if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
             importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
-from sim.bump import main
-sys.exit(main(["--controller", "passive", "--duration", "0.2", "--no-logs"]))
 """
 
 
-@pytest.mark.parametrize("name", in_the_suite(("stop",), PARTS))
-def test_all_else_works_without_a_part(name, tmp_path):
-    """In a copy without a part every module is imported, and the paper's quarter-car runs over a bump."""
+def users(module: str) -> list[str]:
+    """The files that import a module."""
+    return [path for path, source in sources().items() if any(f"{one}.".startswith(f"{module}.") for one in source.imported)]
+
+
+def removable() -> dict[str, tuple[str, list[str]]]:
+    """Each module that only a registry names, with the file of its registry and its names there."""
+    every = [(file, where.partition(":")[0], name) for file, each in REGISTRIES.items() for name, where in each.items()]
+    alone = {module: file for file, module, _ in every if not set(users(module)) - {"synth/__init__.py"}}
+    return {module: (file, [name for _, other, name in every if other == module]) for module, file in alone.items()}
+
+
+SAMPLES = [next(module for module, (of, _) in removable().items() if of == file) for file in REGISTRIES]
+
+
+@pytest.mark.parametrize("module", in_the_suite(SAMPLES, removable()))
+def test_all_else_works_without_it(module, tmp_path):
+    """In a copy without a file and its lines every module is imported, and a car runs over a bump, or is designed for."""
     for folder in ("models", "synth", "sim"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    module = PARTS[name].partition(":")[0]
+    file, names = removable()[module]
     (tmp_path / f"{module.replace('.', '/')}.py").unlink()
-    registry = tmp_path / "models" / "parts" / "registry.py"
-    text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", registry.read_text(encoding="utf-8"))
-    assert count == 1
-    registry.write_text(text, encoding="utf-8")
-    done = subprocess.run([sys.executable, "-c", CHECK, name], cwd=tmp_path, capture_output=True, text=True, check=False)
+    text = (tmp_path / file).read_text(encoding="utf-8")
+    for name in names:
+        text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", text)
+        assert count == 1
+    (tmp_path / file).write_text(text, encoding="utf-8")
+    code, printed = USE.get(module, USE.get(file, BUMP))
+    done = subprocess.run([sys.executable, "-c", CHECK + code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert "agrees" in done.stdout
+    assert printed in done.stdout
 
 
-def test_only_the_registry_names_a_part():
-    """No file imports the module of a part, which only the registry names."""
-    modules = tuple(f"{one.partition(':')[0]}." for one in PARTS.values())
-    assert not [(path, one) for path, source in sources().items() for one in source.imported if f"{one}.".startswith(modules)]
+def test_methods_are_named_by_their_table():
+    """At least these methods are named by nothing but the table, and can be taken away."""
+    assert {name for _, names in removable().values() for name in names} >= {"descent", "refinement", "mu", "preview"}
+
+
+@pytest.mark.parametrize("file", [file for file, registry in REGISTRIES.items() if registry is not METHODS])
+def test_only_the_registry_names_a_module(file):
+    """No file imports a module of a registry, which alone names it."""
+    assert not [(path, where) for where in REGISTRIES[file].values() for path in users(where.partition(":")[0])]

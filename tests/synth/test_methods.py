@@ -1,8 +1,6 @@
 """One problem, one result, a table of methods: what reads as the paper, what runs for it, and what can be taken away."""
 
 import re
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,6 @@ from synth.design.methods import design, method_of
 from synth.design.problem import DesignProblem
 from synth.vehicle.designer import Designer
 from tests.support.commands import ROOT, in_the_suite
-from tests.support.sources import sources
 
 PAPER = {
     *range(1, 15),
@@ -87,51 +84,6 @@ def test_every_method_is_a_function_of_a_problem():
     assert all(method_of(name).__code__.co_varnames[:2] == ("problem", "progress") for name in METHODS)
     with pytest.raises(InputError, match="design method 'h_2' is not known; known are h2, "):
         method_of("h_2")
-
-
-CHECK = """
-import importlib, pathlib, sys
-from models.laws.design_methods import METHODS
-assert not {*sys.argv[1:]} & {*METHODS}
-for folder in ("models", "synth", "sim"):
-    for path in sorted(pathlib.Path(folder).rglob("*.py")):
-        if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
-            importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
-from synth.__main__ import main
-sys.exit(main(["--controller", "I"]))
-"""
-
-
-def alone() -> dict[str, list[str]]:
-    """The files that only the table names, with the names of their methods."""
-    named: dict[str, list[str]] = {}
-    for name, where in METHODS.items():
-        named.setdefault(where.partition(":")[0], []).append(name)
-    imported = {f"{one}." for path, source in sources().items() if path != "synth/__init__.py" for one in source.imported}
-    return {module: names for module, names in named.items() if not any(one.startswith(f"{module}.") for one in imported)}
-
-
-@pytest.mark.parametrize("module", in_the_suite([*alone()][:1], alone()))
-def test_all_else_works_without_a_method(module, tmp_path):
-    """In a copy without a method's file and lines every module is imported, and the paper's controller is designed."""
-    for folder in ("models", "synth", "sim"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / f"{module.replace('.', '/')}.py").unlink()
-    table = tmp_path / "models" / "laws" / "design_methods.py"
-    text = table.read_text(encoding="utf-8")
-    for name in alone()[module]:
-        text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", text)
-        assert count == 1
-    table.write_text(text, encoding="utf-8")
-    arguments = [sys.executable, "-c", CHECK, *alone()[module]]
-    done = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert "7.843188" in done.stdout
-
-
-def test_methods_are_named_by_their_table():
-    """At least these files are named by nothing but the table, and can be taken away."""
-    assert {name for names in alone().values() for name in names} >= {"descent", "refinement", "mu", "preview"}
 
 
 def test_a_static_problem_is_checked_for_stabilisability_once(monkeypatch):

@@ -17,7 +17,7 @@ from sim.drive.case import Batch, Case
 from sim.drive.drive import drive
 from sim.drive.loop import DIVERGED, Block
 from sim.observers.ends import Ends
-from sim.observers.energy import BALANCED
+from sim.observers.results import BALANCED
 from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics

@@ -13,7 +13,7 @@ from models.document.text import joined, names_text
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
 from sim.studies.frequency.figure import HERTZ, STEP

@@ -50,7 +50,6 @@ from models.common.arrays import Array
 from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import is_linear
 from sim.linear.frequency_response import driven_loop, stepwise_frequency_response
 from sim.studies.ride.gaussian import Gaussian, positive_part
 from sim.studies.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
@@ -58,7 +57,7 @@ from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equivalent
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import AnyController, is_linear
 from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, named, radius
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
@@ -90,18 +89,20 @@ def settled(vehicle: Vehicle, controller: AnyController, road: Spectrum, timeste
         timestep: timestep of the sampled loop [s].
         start: time at which measurement begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
     """
-    shares = settled_shares(vehicle, controller, road, timestep, start) if controller.linear is True else {}
+    shares = settled_shares(vehicle, controller, road, timestep, start)
     if not shares:
         return None
     furthest = max(shares, key=lambda name: abs(shares[name] - 1))
     return Settled(shares[furthest], furthest)
 
 
-def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
+def settled_shares(
+    vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
+) -> dict[str, float]:
     """Returns the share of its final variance for every measured signal that moves, by name; empty where `settled` is None."""
-    whole, model = loop_of(vehicle, controller, timestep), vehicle.linear_model
-    if not is_linear(vehicle, controller) or radius(whole) >= 1:
+    if not is_linear(controller, vehicle) or radius(whole := loop_of(vehicle, controller, timestep)) >= 1:
         return {}
+    model = vehicle.linear_model
     system = whole.closed_loop.part(model.outputs, whole.closed_loop.inputs)
     loop, C, period = system.A, system.C, whole.period
     now, midway = (system.columns(named(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
@@ -182,7 +183,7 @@ def settling_time(vehicle: Vehicle, controller: AnyController) -> float:
 
     Infinite for an unstable loop, and for a law that is not linear.
     """
-    if controller.linear is False or not is_linear(vehicle, controller):
+    if not is_linear(controller, vehicle):
         return math.inf
     loop_stability = stability(loop_of(vehicle, controller).closed_loop.A)
     return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
@@ -202,7 +203,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """
-    if controller.linear is False or not is_linear(vehicle, controller):
+    if not is_linear(controller, vehicle):
         return None
     if radius(loop_of(vehicle.linearised, controller, timestep)) >= 1:
         return None

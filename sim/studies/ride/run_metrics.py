@@ -18,7 +18,7 @@ from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.runs.report import FEW
 from sim.runs.run import Run
 from sim.studies.ride.expected import (

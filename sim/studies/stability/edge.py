@@ -17,7 +17,7 @@ from models.roads.obstacles import Flat
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.drive import drive
-from sim.observers.growth import Growth
+from sim.observers.registry import observer
 from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
 from synth.plant.state_space import StateSpace
 
@@ -129,11 +129,12 @@ def smallest_unstable(grows: Callable[[float], bool], expected: float, most: flo
 
 
 def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], None] = no_progress) -> None:
-    """Searches for edges of one timestep, and runs both sides of each, all in one batch."""
+    """Searches for edges of one timestep, and runs both sides of each, all in one batch, if `Growth` is among the observers."""
     for number, edge in enumerate(edges):
         progress(f"{len(edges) - number} margins to go")
         edge.search()
-    due = [(edge, amount) for edge in edges if math.isfinite(edge.unstable) for amount in (edge.stable, edge.unstable) if amount]
+    both = [(edge, amount) for edge in edges if math.isfinite(edge.unstable) for amount in (edge.stable, edge.unstable)]
+    due = [(edge, amount) for edge, amount in both if amount and observer("growth") is not None]
     progress(f"{len(due)} runs")
     rates = rates_of_runs([edge.trial(amount) for edge, amount in due], [edge.loop(amount) for edge, amount in due])
     for (edge, amount), rate in zip(due, rates, strict=True):
@@ -153,7 +154,7 @@ def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> li
         Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed)
         for vehicle, trial, start in zip(vehicles, trials, starts, strict=True)
     ]
-    (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(Growth, lengths), streamed=True)
+    (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(observer("growth"), lengths), streamed=True)
     return [
         _rate(state, one.start.motion, loop, end * timestep)
         for state, one, loop, end in zip(states, cases, loops, lengths, strict=True)

@@ -1,6 +1,6 @@
 """Loops as MuJoCo runs them, from one sample to the next: the derivative of MuJoCo's own step about equilibrium, and the law.
 
-The law is the one that is run (`sim.drive.driver.LinearDriver`). Forces are held over a sample, and those of the last samples
+The law is the one that runs execute (`sim.drive.drivers.linear`). Forces are held over a sample, and those of the last samples
 are still pending where they act late.
 """
 

@@ -15,11 +15,11 @@ from sim.drive.case import Case
 from sim.drive.loop import runs_at_once
 from sim.drive.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
 from sim.drive.response import Response, difference
-from sim.linear.dampers import is_linear, squarable
+from sim.linear.dampers import squarable
 from sim.linear.sampled_response import sampled_responses
 from sim.linear.stepped import stepped
 from sim.observers.recorder import Recording, record
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, is_linear
 
 AT_ONCE = 32  # runs in a batch: more would wait for the longest
 
@@ -59,14 +59,14 @@ def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
 def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
     """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
     inputs = [RoadInput(vehicle, road, time) for road in roads]
-    if is_linear(vehicle, controller):
+    if is_linear(controller, vehicle):
         return sampled_responses(controller, inputs)
     return stepped([controller] * len(inputs), inputs).response
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
     """Returns the response of each controller over its road; those that are not linear are computed side by side."""
-    bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(vehicle, one)]
+    bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
         runs = stepped([controllers[i] for i in some], [RoadInput(vehicle, roads[i], time) for i in some]).response
@@ -79,7 +79,7 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
 def shares(vehicle: Vehicle, controller: Controller, response: Response) -> Array:
     """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E), without missing force of dampers."""
     used = utilisation(vehicle, response, controller.has_anti_windup)
-    if not is_linear(vehicle, controller):
+    if not is_linear(controller, vehicle):
         used[..., REGIME_ENDS.index(DAMPER)] = 0.0
     return used
 
@@ -107,7 +107,7 @@ def _result(controller: Controller, run: Recording) -> MapRun:
     """Returns the result of a run."""
     vehicle, response, diverged = run.vehicle, run.response, run.diverged
     times, missing = reached(vehicle, response, controller.has_anti_windup), math.nan
-    if not is_linear(vehicle, controller):
+    if not is_linear(controller, vehicle):
         times[REGIME_ENDS.index(DAMPER)] = np.inf
     if vehicle.parts.adjustable:
         lost = squarable(np.nan_to_num([response[one.missing] for one in vehicle.parts.adjustable]))

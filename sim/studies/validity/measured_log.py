@@ -17,7 +17,7 @@ from models.document.document import Document, Table, notes
 from models.document.field import Field
 from models.kinds.signals import Signal
 from sim.drive.response import Response
-from sim.observers.steps import WHEN
+from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
 LEAST_OVERLAP = 0.5  # of the shorter of log and run, for a start by correlation

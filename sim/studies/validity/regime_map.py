@@ -24,11 +24,10 @@ from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
-from sim.linear.dampers import is_linear
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
 from sim.studies.validity.regime_end import RegimeEnd, enclosed
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, is_linear
 
 BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 AT_ONCE = 64  # responses side by side
@@ -214,6 +213,6 @@ def _predicted(
             travel[mine] = np.abs(factors) * max((float(run.peak(name)) for name in moves), default=0.0)
             done += len(mine)
         progress(done)
-    if not is_linear(vehicle, controller):
+    if not is_linear(controller, vehicle):
         times[:, REGIME_ENDS.index(DAMPER)] = np.inf
     return used, first_end(times), times.min(axis=1), travel

@@ -13,7 +13,8 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import command_limiter
 from models.vehicle.vehicle import Vehicle
 from sim.drive.actuators import closing_names
-from sim.drive.driver import Request, SemiActiveDriver
+from sim.drive.driver import Request
+from sim.drive.drivers.registry import driver_of
 from synth.controller.controller import Controller
 from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import is_law_of
@@ -31,12 +32,12 @@ class CodeDriver:
     ahead = 0
     requests: Request = "commands"
 
-    def __init__(self, controllers: Sequence[Controller | SemiActive]) -> None:
+    def __init__(self, controllers: Sequence[Controller | SemiActive], *_: object) -> None:
         """Takes N controllers with the same code, of their own vehicles."""
         self._controllers = controllers
         self._codes: list[ExportedCode] = [one.code for one in controllers]
-        self._law, semi_active = self._codes[0].law, [one for one in controllers if one.linear is False]
-        self._semi_active = SemiActiveDriver(semi_active) if semi_active else None
+        self._law, own = self._codes[0].law, controllers[0].law_key[0]
+        self._semi_active = driver_of(controllers, own) if own == "semi_active" else None
         self.measured = self._law.inputs[: self._law.readings]
 
     def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:

@@ -1,0 +1,1 @@
+"""Drivers of control laws, one file each, and their registry."""

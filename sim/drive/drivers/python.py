@@ -1,0 +1,87 @@
+"""Driver of laws in Python and FMUs, and of a user's own drivers."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.python_law import Programmed, is_driver
+from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.drive.driver import Driver, Failure, Request
+
+if TYPE_CHECKING:
+    from models.laws.python_runtime import FileRuns, LawRuns
+
+WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, and its law is no longer called
+
+
+def in_python(controllers: Sequence[Programmed], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
+    """Returns the driver of a law in Python: the user's own, if the law is one."""
+    law = controllers[0]
+    return law.function if is_driver(law.function) else PythonDriver(law, failures, numbers)
+
+
+class PythonDriver:
+    """Law in Python, or FMU, of N runs with a state each; a vectorised law serves all its runs at once."""
+
+    requests: Request = "forces"
+
+    ahead = 0
+
+    def __init__(self, controller: Programmed, failures: dict[int, Failure] | None, numbers: Sequence[int]) -> None:
+        """Takes the controller.
+
+        Args:
+            failures: receives failures, whose runs go on without forces, or None to raise them.
+            numbers: keys of the N runs in `failures`.
+        """
+        self._controller, self._failures, self._numbers = controller, failures, numbers
+        self.measured = controller.measured
+
+    def start(self, vehicles: Sequence[Vehicle], timestep: float) -> Array:
+        """Executes the law's file for each run. See `Driver.start`.
+
+        Raises:
+            InputError: a law fails, and failures are not collected; so does `step`.
+        """
+        from models.laws.python_runtime import runs_of
+
+        self._timestep, self._forces = timestep, len(vehicles[0].linear_model.inputs)
+        self._period = steps_per_sample(vehicles[0].implementation, timestep) * timestep
+        self.ahead = self._controller.preview_samples(self._period)
+        self._laws: LawRuns | FileRuns = runs_of(self._controller, self._forces)
+        self._gone, runs = np.zeros(len(vehicles), dtype=bool), list[int]()
+        for i, vehicle in enumerate(vehicles):
+            try:
+                self._laws.add(vehicle.parameters)
+                runs.append(i)
+            except InputError as error:
+                self._failed(error, [i])
+        self._runs = np.array(runs, dtype=int)
+        return np.zeros((len(vehicles), 0))
+
+    def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
+        forces, runs = np.zeros((len(y), self._forces)), self._runs
+        self._gone |= np.any(~(np.abs(y) <= WILD), axis=1)
+        gone = self._gone[runs]
+        if gone.all():
+            return forces, state
+        preview = None if ahead is None else np.ascontiguousarray(ahead[runs])
+        try:
+            forces[runs], errors = self._laws.call(gone, y[runs], k * self._timestep, self._period, preview)
+        except InputError as error:
+            self._failed(error, runs[~gone].tolist(), len(runs) > 1)
+            return forces, state
+        for i, error in errors.items():
+            self._failed(error, [int(runs[i])])
+        return forces, state
+
+    def _failed(self, error: InputError, runs: Sequence[int], together: bool = False) -> None:
+        """Records that the law of these runs has failed, or raises the error if failures are not collected."""
+        if self._failures is None:
+            raise error
+        self._gone[runs] = True
+        self._failures |= {self._numbers[i]: Failure(str(error), together) for i in runs}
