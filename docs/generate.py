@@ -228,7 +228,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     sections["[seat]"] = section_keys(Seat)
     sections["[start]"] = [
         ("height", "m", "height by which the whole vehicle is lifted above the road at the start of a run"),
-        ("a state, such as suspension_deflection", "SI", "value of this state of the linear model at the start of a run"),
+        ("suspension_deflection", "m", "this state of the linear model at the start of a run; so for its other states"),
     ]
     sections["[parts.NAME]"] = section_keys(Place)
     sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
