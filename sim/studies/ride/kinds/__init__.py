@@ -1,0 +1,1 @@
+"""The metrics of `sim/studies/ride/registry.py`, a file for each group of signals."""
