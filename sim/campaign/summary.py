@@ -46,7 +46,8 @@ LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for o
 
 def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
-    return {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
+    headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
+    return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
