@@ -219,7 +219,7 @@ def test_add_a_method_of_design(tmp_path):
 
 
 def test_add_a_metric(tmp_path):
-    """The recipe's file and line alone make a metric: measured, expected, compared, a column and an objective, with its own rule."""
+    """The recipe's file and line alone make a metric: measured, expected, compared over runs by its own rule, an objective."""
     recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a metric")
     file, line = recipe.blocks("python")
     for folder in ("models", "synth", "sim", "docs"):
@@ -249,7 +249,8 @@ def test_add_a_metric(tmp_path):
         run, km = result["runs"][0]["metrics"], 20 * (2001 - 1000 * result["measured_from"]) / 1e6
         for key in ("mujoco", "expected"):
             print(abs(run[name][key] * km / run["sprung_acceleration_vdv"][key] ** 4 - 1) < 1e-9)
-        print(run[name]["unit"], run[name]["approximate"], result["compared"]["controllers"][0]["dose_per_km"] == run[name]["mujoco"])
+        same = result["compared"]["controllers"][0]["dose_per_km"] == run[name]["mujoco"]
+        print(run[name]["unit"], run[name]["approximate"], same)
         print(told(drive, *road, "--duration", "2", "--no-logs", "-v").count("m4/s7/km"))
         best = json.loads(told(campaign, "campaign.toml", "--best", "dose_per_km", "--json"))
         table = pq.read_table("campaign-results/results.parquet")

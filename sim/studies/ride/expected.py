@@ -54,7 +54,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
 from sim.linear.frequency_response import driven_loop, stepwise_frequency_response
 from sim.studies.ride.gaussian import Gaussian, RandomSignals, positive_part
-from sim.studies.ride.metrics import metrics_of, points
+from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equivalent
 from sim.studies.ride.weighting import SampledWk, sampled_wk
@@ -144,8 +144,7 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
 
-    where, units = points(vehicle), [vehicle.kind.signal(name).unit for name in model.outputs]
-    measured = {*where.accelerations, *where.suspensions, *where.tyres, *(name for name, *_ in where.actuators)}
+    units, measured = [vehicle.kind.signal(name).unit for name in model.outputs], {one.source for one in metrics_of(vehicle)}
     loudest = np.array([max(v for v, u in zip(comes_to, units, strict=True) if u == unit) for unit in units])
     return {
         name: max(float(now[i] / comes_to[i]), 0.0)
@@ -212,12 +211,12 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     stops, metrics, vehicle, rest = vehicle.parts.strokes, metrics_of(vehicle), line.vehicle, line.remainder
     low, high = road.band
     poles, rounding = loop_poles(vehicle, controller, timestep, high)
-    where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    accelerations, static = vehicle.ride_points.all, vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     loads = {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)}
-    ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
-    pushing = [(name, *travel) for name, *travel in where.actuators if travel]
+    ride, weigh = [index[name] for name in accelerations], sampled_wk(timestep)
+    pushing = [(name, vehicle.kind.pushed(name)) for name in vehicle.linear_model.inputs if vehicle.kind.pushed(name)]
     pushed = [[index[signal] for signal in pair] for pair in pushing]
     lags = vehicle.limits.actuator_bandwidth is not None
 
@@ -267,7 +266,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         of_actuators[name] = vehicle.motion_ratios[name] * net, vehicle.motion_ratios[name] * positive
     random = RandomSignals(
         lambda name: of_column(index[name]),
-        lambda name: of_column(len(index) + where.accelerations.index(name)),
+        lambda name: of_column(len(index) + accelerations.index(name)),
         window,
         timestep,
         road.speed,

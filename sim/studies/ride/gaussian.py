@@ -183,11 +183,6 @@ class RandomSignals:
         variance = signal.mean_square_variance(self.window, clip)
         return value, value * math.sqrt(self.varied * variance) / (2 * whole) if square else 0.0
 
-    def peak(self, name: str) -> float:
-        """Returns the expected largest magnitude of a signal."""
-        signal = self.signal(name)
-        return signal.largest(self.window) * signal.sigma + abs(self.offset(name))
-
 
 def _power_of_two(count: int) -> int:
     """Returns the lowest power of two from a count on: Fourier transforms of a length with large factors are slow."""

@@ -26,7 +26,6 @@ import numpy as np
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
-from models.kinds.signals import Signal
 from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
@@ -118,17 +117,19 @@ class Column:
     by_side: bool = False
 
 
-class Totals:
-    """Sums and largest values of a metric over the blocks so far, each of shape (N,), or None before the first."""
+Expectation = tuple[float, float | None] | None  # and the standard deviation from road to road
 
-    sum: Any = None
-    shift: Any = None
-    largest: Any = None
-    last: Any = None
+
+class Totals:
+    """Sums and largest values of a metric over the blocks so far, each of shape (N,) after the first."""
+
+    sum: Any = 0
+    shift: Any = 0
+    largest: Any = -math.inf
 
     def add(self, amount: Array) -> None:
         """Adds the amounts of a block, shape (N,)."""
-        self.sum = amount if self.sum is None else self.sum + amount
+        self.sum = self.sum + amount
 
     def keep(self, values: Array) -> None:
         """Keeps the largest magnitude of values, shape (N, B)."""
@@ -136,7 +137,7 @@ class Totals:
 
     def keep_largest(self, largest: Array) -> None:
         """Keeps the larger of values, shape (N,)."""
-        self.largest = largest if self.largest is None else np.maximum(self.largest, largest)
+        self.largest = np.maximum(self.largest, largest)
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ class Metric:
         of: group of signals in whose rows a table shows the metric.
         over_runs: rule over several runs.
         approximate: False if the expectation is exact for a stationary linear run.
-        expectation: what the expected value is, in words, if it is not the mean.
+        expectation: definition of the expected value, if it is not the mean.
         accuracy: clause on the error of an approximate expectation; empty for none.
         column: column of the table of controllers; None without one.
         headline: name in the short tables of campaigns and reports; empty if it is not in them.
@@ -196,52 +197,22 @@ class Metric:
         """Returns the signals that have a column of their own, too."""
         return ()
 
-    def update(self, samples: "Samples", totals: Totals) -> None:
-        """Adds a block of samples of the window."""
+    def update(self, meter: "Meter", totals: Totals) -> None:
+        """Adds the meter's block."""
 
-    def update_weighted(self, samples: "WeightedSamples", totals: Totals) -> None:
-        """Adds a block of a weighted acceleration, the metric's signal."""
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        """Adds a block of the weighted acceleration and of its running mean square over `RUNNING`, shape (N, B) each."""
 
-    def result(self, totals: Totals, window: "Window") -> Array:
+    def result(self, totals: Totals, meter: "Meter") -> Array:
         """Returns the metric after the last block, shape (N,)."""
         raise NotImplementedError
 
-    def expected(self, random: "RandomSignals") -> tuple[float, float | None] | None:
+    def expected(self, random: "RandomSignals") -> Expectation:
         """Returns the expectation over random roads, and its standard deviation from road to road or None if that is unknown.
 
         None if the metric has no known expectation.
         """
         return None
-
-
-class RootMeanSquare(Metric):
-    """The root mean square of what is added as squares."""
-
-    over_runs, approximate = ROOT_MEAN_SQUARE, False
-
-    def result(self, totals: Totals, window: "Window") -> Array:
-        """Returns the root of the mean square."""
-        return np.sqrt(totals.sum / window.count)
-
-
-class Share(Metric):
-    """The share of time of what is added as counts."""
-
-    unit, over_runs, approximate = "-", MEAN, False
-
-    def result(self, totals: Totals, window: "Window") -> Array:
-        """Returns the share of the samples."""
-        return totals.sum / window.count
-
-
-class Largest(Metric):
-    """The largest of what is kept."""
-
-    over_runs = LARGEST
-
-    def result(self, totals: Totals, window: "Window") -> Array:
-        """Returns the largest."""
-        return totals.largest
 
 
 def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> float:
@@ -257,39 +228,6 @@ def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> 
 def squares(values: Array) -> Array:
     """Returns the sum of squares of each row."""
     return (values * values).sum(axis=1)
-
-
-def named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns a signal's name with the metric instead of the common prefix, or behind the name if it lacks that prefix."""
-    return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
-
-
-@dataclass(frozen=True)
-class Points:
-    """Names of the signals at which a vehicle is measured.
-
-    Attributes:
-        accelerations: accelerations of the body, those of points with a person first.
-        suspensions: deflections of the suspensions.
-        tyres: deflections of the tyres.
-        actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
-    """
-
-    accelerations: tuple[str, ...]
-    suspensions: tuple[str, ...]
-    tyres: tuple[str, ...]
-    actuators: tuple[tuple[str, ...], ...]
-
-
-def points(vehicle: Vehicle) -> Points:
-    """Returns the points of a vehicle."""
-    model, kind = vehicle.linear_model, vehicle.kind
-    return Points(
-        accelerations=vehicle.ride_points.all,
-        suspensions=tuple(one.deflection for one in kind.suspensions),
-        tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
-        actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
-    )
 
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
@@ -312,104 +250,6 @@ def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[
     return {
         name: tuple(map(kind, kind.compared(vehicle))) for name, kind in metric_classes().items() if loaded or not kind.loaded
     }
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """The measured window of N runs.
-
-    Attributes:
-        count: number of samples.
-        timestep: timestep [s].
-        speeds: speed of each run [m/s], shape (N,).
-        pushed: mask of the runs with loads, shape (N,).
-        static: static deflection of every tyre [m], shape (N,) each.
-    """
-
-    count: int
-    timestep: float
-    speeds: Array
-    pushed: Array
-    static: Mapping[str, Array]
-
-    @property
-    def duration(self) -> float:
-        """Duration, a timestep for every sample [s]."""
-        return self.count * self.timestep
-
-    @property
-    def passed(self) -> float:
-        """Time from the first sample to the last [s]."""
-        return max(self.count - 1, 1) * self.timestep
-
-    @property
-    def distances(self) -> Array:
-        """Distance of each run [m], shape (N,); NaN for a rig, or without a speed."""
-        return np.where(self.speeds > 0, self.speeds * self.duration, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class WeightedSamples:
-    """A block of a weighted acceleration within the window.
-
-    Attributes:
-        values: samples, shape (N, B).
-        squares: their squares.
-        running: running mean square over `RUNNING`.
-    """
-
-    values: Array
-    squares: Array
-    running: Array
-
-
-class Samples:
-    """A block of samples of N runs within the window, each signal of shape (N, B)."""
-
-    def __init__(self, meter: "Meter", values: Array, accelerations: Mapping[str, Array], jumps: Mapping[str, Array]) -> None:
-        """Prepares a block.
-
-        Args:
-            meter: meter of the runs.
-            values: signals of the vehicle's kind, shape (B, S, N).
-            accelerations: accelerations midway between both sides of their jumps.
-            jumps: jumps of signals of which both sides count.
-        """
-        self._meter, self._values, self._works = meter, values, dict[str, Array]()
-        self.accelerations, self.jumps = accelerations, jumps
-
-    def __getitem__(self, name: str) -> Array:
-        """Returns an output signal of the linear model."""
-        return self._meter.signal(self._values, name)
-
-    def angle(self, name: str) -> Array:
-        """Returns an angle of the body [rad]."""
-        angle = np.zeros(self._values.shape[:1:-1] + self._values.shape[:1])
-        for i, share in self._meter.angles[name].items():
-            angle += share[:, None] * self._values[:, i].T
-        return angle
-
-    def tyre(self, name: str) -> tuple[Array, Array]:
-        """Returns the deflection with which a tyre's spring alone has its whole force, and its static one, shape (N, 1) [m]."""
-        deflection = self[name]
-        if name in self._meter.damped:
-            hub, road, time = self._meter.damped[name]
-            deflection = deflection + time[:, None] * (self._values[:, hub] - self._values[:, road]).T
-        return deflection, self._meter.static[name][:, None]
-
-    def beyond_stops(self, name: str) -> Array:
-        """Returns the mask of the samples at which a suspension is at a stop."""
-        deflection, (bump, rebound) = self[name], self._meter.strokes[name]
-        return (deflection <= -bump) | (deflection >= rebound)
-
-    def work(self, force: str) -> Array:
-        """Returns the work of an actuator in each step since the window's first sample [J]."""
-        if force not in self._works:
-            travel = self._meter.travels[force]
-            acting, along = self._meter.joined(force, self[force]), self._meter.joined(travel, self[travel])
-            work = (acting[:, :-1] + acting[:, 1:]) / 2 if self._meter.lags else acting[:, :-1]
-            self._works[force] = work * np.diff(along, axis=1) * self._meter.ratios.of(force, along[:, :-1].T).T
-        return self._works[force]
 
 
 class Meter:
@@ -443,22 +283,21 @@ class Meter:
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
         self.speeds = np.array([math.nan] * count if speeds is None else speeds)
-        where = points(self.vehicle)
-        self.accelerations, self.travels = where.accelerations, {force: one[0] for force, *one in where.actuators if one}
+        self.accelerations, tyres = self.vehicle.ride_points.all, [one.tyre_deflection for one in self.vehicle.kind.wheels]
         self.totals = {metric: Totals() for metric in metrics_of(self.vehicle, loaded)}
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         self.ratios = MotionRatios(vehicles)
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
-        self.static = {name: np.array([static[name] for static in statics]) for name in where.tyres}
+        self.static = {name: np.array([static[name] for static in statics]) for name in tyres}
         self.strokes = {
             name: np.array([[one.parts.strokes[name].get(side, np.inf) for side in SIDES] for one in vehicles]).T[..., None]
             for name in self.vehicle.parts.strokes
         }
         damped = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
-        tyres = {name: tyre for one in damped for name, tyre in one.items()}
-        times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in tyres}
-        self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in tyres.items()}
+        dampers = {name: tyre for one in damped for name, tyre in one.items()}
+        times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in dampers}
+        self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in dampers.items()}
         # Coefficients of every angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
@@ -472,8 +311,7 @@ class Meter:
         }
         self.running = {name: np.zeros((1, count, 1)) for name in self.accelerations}
         self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
-        self.both_sides = bool(self.vehicle.dampers)
-        self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.both_sides else ())))
+        self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
         self.before: dict[str, Array] = {}  # last sample of forces and deflections, for the work, shape (N, 1)
         self.seen = self.samples = 0
@@ -483,34 +321,66 @@ class Meter:
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
-        jumps, accelerations = self.jumps(values), dict[str, Array]()
+        jumps, self.block, self.midway, self.works = self.jumps(values), values, dict[str, Array](), dict[str, Array]()
         for name in self.accelerations:
-            acceleration = self.signal(values, name)
-            acceleration = acceleration - jumps[name] / 2 if name in jumps else acceleration
+            acceleration = self[name] - jumps[name] / 2 if name in jumps else self[name]
             self._weigh(name, acceleration, self.seen - len(values))
             self.last[name] = np.concatenate([self.last.get(name, acceleration[:, :1]), acceleration], axis=1)[:, -2:]
-            accelerations[name] = acceleration[:, skip:]
+            self.midway[name] = acceleration[:, skip:]
         if skip == len(values):
             return
-        on_both_sides = {name: jump[:, skip:] for name, jump in jumps.items()} if self.both_sides else {}
-        samples = Samples(self, values[skip:], accelerations, on_both_sides)
+        self.block = values[skip:]
+        self.both_sides = {name: jump[:, skip:] for name, jump in jumps.items()} if self.vehicle.dampers else {}
         for metric, totals in self.totals.items():
-            metric.update(samples, totals)
+            metric.update(self, totals)
 
     def result(self) -> dict[str, Array]:
         """Returns every metric, shape (N,), after the last block."""
         for name, last in self.last.items():  # the filter is late: straight lines go on behind the last samples
             self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
-        window = Window(self.samples, self.timestep, self.speeds, self.pushed, self.static)
-        return {metric.name: metric.result(totals, window) for metric, totals in self.totals.items()}
+        return {metric.name: metric.result(totals, self) for metric, totals in self.totals.items()}
 
-    def signal(self, values: Array, name: str) -> Array:
-        """Returns a signal with each run's samples contiguous, shape (N, B)."""
-        return np.ascontiguousarray(values[:, self.index[name]].T)
+    @property
+    def duration(self) -> float:
+        """Duration of the window, a timestep for every sample [s]."""
+        return self.samples * self.timestep
 
-    def joined(self, name: str, signal: Array) -> Array:
-        """Returns a signal of a block, preceded by its last sample of the previous block."""
+    @property
+    def distances(self) -> Array:
+        """Distance of each run in the window [m], shape (N,); NaN on a rig, or without a speed."""
+        return np.where(self.speeds > 0, self.speeds * self.duration, np.nan)
+
+    def __getitem__(self, name: str) -> Array:
+        """Returns an output signal of the block, with each run's samples contiguous, shape (N, B)."""
+        return np.ascontiguousarray(self.block[:, self.index[name]].T)
+
+    def angle(self, name: str) -> Array:
+        """Returns an angle of the body in the block [rad], shape (N, B)."""
+        angle = np.zeros(self.block.shape[:1:-1] + self.block.shape[:1])
+        for i, share in self.angles[name].items():
+            angle += share[:, None] * self.block[:, i].T
+        return angle
+
+    def tyre(self, name: str) -> tuple[Array, Array]:
+        """Returns the deflection of a tyre with the same force but no damping, shape (N, B), and the static one, (N, 1) [m]."""
+        deflection = self[name]
+        if name in self.damped:
+            hub, road, time = self.damped[name]
+            deflection = deflection + time[:, None] * (self.block[:, hub] - self.block[:, road]).T
+        return deflection, self.static[name][:, None]
+
+    def work(self, force: str) -> Array:
+        """Returns the work of an actuator [J] in each step that ends in the block, shape (N, B), or (N, B - 1) at first."""
+        if force not in self.works:
+            acting, along = self._joined(force), self._joined(self.vehicle.kind.pushed(force))
+            work = (acting[:, :-1] + acting[:, 1:]) / 2 if self.lags else acting[:, :-1]
+            self.works[force] = work * np.diff(along, axis=1) * self.ratios.of(force, along[:, :-1].T).T
+        return self.works[force]
+
+    def _joined(self, name: str) -> Array:
+        """Returns a signal of the block, preceded by its last sample of the previous block."""
+        signal = self[name]
         joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
         self.before[name] = signal[:, -1:].copy()
         return joined
@@ -522,15 +392,13 @@ class Meter:
         parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
         for part in parts:
             weighted += part
-        square = weighted * weighted
         forget = np.exp(-self.timestep / RUNNING)
         mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
-        (running,), self.running[name] = filtered(*mean, square, self.running[name])
+        (running,), self.running[name] = filtered(*mean, weighted * weighted, self.running[name])
         if skip < acceleration.shape[1]:
-            samples = WeightedSamples(weighted[:, skip:], square[:, skip:], running[:, skip:])
             for metric, totals in self.totals.items():
                 if metric.source == name:
-                    metric.update_weighted(samples, totals)
+                    metric.update_weighted(weighted[:, skip:], running[:, skip:], totals)
 
 
 def measure(

@@ -4,26 +4,26 @@ import importlib
 from functools import cache
 from typing import Any
 
-KINDS = "sim.studies.ride.kinds"
+STANDARD = "sim.studies.ride.kinds.standard"
 METRICS = {  # name -> module and class
-    "dive": f"{KINDS}.angles:Dive",
-    "squat": f"{KINDS}.angles:Squat",
-    "roll": f"{KINDS}.angles:Roll",
-    "final_angle": f"{KINDS}.angles:AtEnd",
-    "rms_acceleration": f"{KINDS}.accelerations:Rms",
-    "ride": f"{KINDS}.accelerations:Weighted",
-    "vdv": f"{KINDS}.accelerations:VibrationDose",
-    "mtvv": f"{KINDS}.accelerations:LargestRunning",
-    "crest": f"{KINDS}.accelerations:Crest",
-    "rms_travel": f"{KINDS}.travel:Rms",
-    "peak_travel": f"{KINDS}.travel:Peak",
-    "dynamic_load": f"{KINDS}.tyres:DynamicLoad",
-    "off_ground": f"{KINDS}.tyres:OffGround",
-    "force_rms": f"{KINDS}.actuators:Rms",
-    "force_peak": f"{KINDS}.actuators:Peak",
-    "power": f"{KINDS}.actuators:Power",
-    "energy": f"{KINDS}.actuators:Energy",
-    "at_stops": f"{KINDS}.travel:AtStops",
+    "dive": f"{STANDARD}:Dive",
+    "squat": f"{STANDARD}:Squat",
+    "roll": f"{STANDARD}:Roll",
+    "final_angle": f"{STANDARD}:FinalAngle",
+    "rms_acceleration": f"{STANDARD}:RmsAcceleration",
+    "ride": f"{STANDARD}:Weighted",
+    "vdv": f"{STANDARD}:VibrationDose",
+    "mtvv": f"{STANDARD}:TransientVibration",
+    "crest": f"{STANDARD}:Crest",
+    "rms_travel": f"{STANDARD}:RmsTravel",
+    "peak_travel": f"{STANDARD}:PeakTravel",
+    "dynamic_load": f"{STANDARD}:DynamicLoad",
+    "off_ground": f"{STANDARD}:OffGround",
+    "force_rms": f"{STANDARD}:RmsForce",
+    "force_peak": f"{STANDARD}:PeakForce",
+    "power": f"{STANDARD}:Power",
+    "energy": f"{STANDARD}:Energy",
+    "at_stops": f"{STANDARD}:AtStops",
 }
 
 
