@@ -346,7 +346,7 @@ def metric_tables() -> str:
             one.unit,
             f"`{names[type(one)]}`",
             one.over_runs.words,
-            "approximate" if one.approximate else "exact",
+            "none" if type(one).expected is metrics.Metric.expected else "approximate" if one.approximate else "exact",
             first(type(one)),
         )
         for one in metrics.metrics_of(read_vehicle("quarter_car"), True)

@@ -21,8 +21,8 @@ METRICS = {  # name -> module and class
     "off_ground": f"{STANDARD}:OffGround",
     "force_rms": f"{STANDARD}:RmsForce",
     "force_peak": f"{STANDARD}:PeakForce",
-    "power": f"{STANDARD}:Power",
-    "energy": f"{STANDARD}:Energy",
+    "power": f"{STANDARD}:ControlPower",
+    "energy": f"{STANDARD}:ControlEnergy",
     "at_stops": f"{STANDARD}:AtStops",
 }
 

@@ -6,13 +6,13 @@ mean of u[k] and u[k+1] counts.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.vehicle.vehicle import Vehicle
-from sim.studies.ride.gaussian import RandomSignals
 from sim.studies.ride.metrics import (
     DEGREES,
     LARGEST,
@@ -30,6 +30,9 @@ from sim.studies.ride.metrics import (
     squares,
 )
 
+if TYPE_CHECKING:
+    from sim.studies.ride.gaussian import RandomSignals
+
 
 class RootMeanSquare(Metric):
     """Root mean square of a signal."""
@@ -42,7 +45,7 @@ class RootMeanSquare(Metric):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return np.sqrt(totals.sum / meter.samples)
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.rms(random.signal(self.source), offset=random.offset(self.source))
 
 
@@ -67,45 +70,38 @@ class Largest(Metric):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return totals.largest
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         signal = random.signal(self.source)
         return signal.largest(random.window) * signal.sigma + abs(random.offset(self.source)), None
 
 
-class Angle(Largest):
+class Angle(Metric):
     """A number of an angle of the body under loads."""
 
-    unit, of, loaded, approximate, accuracy = "deg", "angles", True, False, ""
-
-    def expected(self, random: RandomSignals) -> Expectation:
-        return None
+    unit, of, over_runs, loaded, approximate = "deg", "angles", LARGEST, True, False
+    angles: tuple[str, ...] = (PITCH, ROLL)
 
     @classmethod
     def sources(cls, vehicle: Vehicle) -> Sequence[str]:
-        return tuple(angles_of(vehicle))
+        return [name for name in angles_of(vehicle) if name in cls.angles]
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.largest
 
 
-class PitchAngle(Angle):
-    """A number of the pitch angle."""
-
-    @classmethod
-    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
-        return [name for name in angles_of(vehicle) if name == PITCH]
-
-
-class Dive(PitchAngle):
+class Dive(Angle):
     """Largest pitch angle, nose down."""
 
-    what = "dive"
+    what, angles = "dive", (PITCH,)
 
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.keep_largest(DEGREES * np.maximum(meter.angle(self.source).max(axis=1), 0.0))
 
 
-class Squat(PitchAngle):
+class Squat(Angle):
     """Largest pitch angle, nose up."""
 
-    what = "squat"
+    what, angles = "squat", (PITCH,)
 
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.keep_largest(DEGREES * np.maximum(-meter.angle(self.source).min(axis=1), 0.0))
@@ -114,11 +110,7 @@ class Squat(PitchAngle):
 class Roll(Angle):
     """Largest roll angle to either side."""
 
-    approximate = True
-
-    @classmethod
-    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
-        return [name for name in angles_of(vehicle) if name == ROLL]
+    what, angles, approximate = "peak", (ROLL,), True
 
     def update(self, meter: Meter, totals: Totals) -> None:
         angle = meter.angle(self.source)
@@ -156,7 +148,7 @@ class RmsAcceleration(RootMeanSquare, Acceleration):
         if self.source in meter.both_sides:
             totals.add(squares(meter.both_sides[self.source] / 2))
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.rms(random.signal(self.source))
 
 
@@ -176,7 +168,7 @@ class Weighted(RootMeanSquare, Acceleration):
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
         totals.add(squares(weighted))
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.rms(random.weighted(self.source))
 
 
@@ -192,7 +184,7 @@ class VibrationDose(Acceleration):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return (totals.sum / meter.samples * meter.duration) ** 0.25
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return (random.window * random.weighted(self.source).mean_fourth_power) ** 0.25, None
 
 
@@ -207,7 +199,7 @@ class TransientVibration(Acceleration):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return np.sqrt(totals.largest)
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.weighted(self.source).largest_running(random.window, RUNNING), None
 
 
@@ -225,7 +217,7 @@ class Crest(Acceleration):
         still = rms == 0
         return np.where(still, 0.0, totals.largest / np.where(still, 1.0, rms))
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.weighted(self.source).largest(random.window), None
 
 
@@ -265,12 +257,12 @@ class AtStops(Share, Travel):
         deflection, (bump, rebound) = meter[self.source], meter.strokes[self.source]
         totals.add(np.count_nonzero((deflection <= -bump) | (deflection >= rebound), axis=1))
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         signal, offset, (bump, rebound) = random.signal(self.source), random.offset(self.source), random.strokes[self.source]
         return signal.beyond(bump + offset) + signal.beyond(rebound - offset), None
 
 
-class Tyre(Metric):
+class TyreLoad(Metric):
     """A number of the load F = k_u (static - t) of a tyre that is extended by t; F is never negative."""
 
     unit, of = "-", "tyres"
@@ -284,7 +276,7 @@ class Tyre(Metric):
         return [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
 
 
-class DynamicLoad(RootMeanSquare, Tyre):
+class DynamicLoad(RootMeanSquare, TyreLoad):
     """Dynamic load coefficient: rms(F - F_static) / F_static; with loads on the body, the standard deviation of F instead."""
 
     what, headline = "dynamic_load", "load"
@@ -299,12 +291,12 @@ class DynamicLoad(RootMeanSquare, Tyre):
         shift = np.where(meter.pushed, totals.shift / meter.samples, 0.0)
         return np.sqrt(np.maximum(totals.sum / meter.samples - shift * shift, 0.0)) / meter.static[self.source]
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         static = random.static[self.source]
         return random.rms(random.signal(self.source), static, 1 / static)
 
 
-class OffGround(Share, Tyre):
+class OffGround(Share, TyreLoad):
     """Share of time off the ground."""
 
     what = "off_ground"
@@ -313,7 +305,7 @@ class OffGround(Share, Tyre):
     def update(self, meter: Meter, totals: Totals) -> None:
         totals.add(np.count_nonzero(np.greater_equal(*meter.tyre(self.source)), axis=1))
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.signal(self.source).beyond(random.static[self.source]), None
 
 
@@ -365,7 +357,7 @@ class Work(Force):
         return [force for force in super().sources(vehicle) if vehicle.kind.pushed(force)]
 
 
-class Power(Work):
+class ControlPower(Work):
     """Mean power into the suspension."""
 
     what, unit = "power", "W"
@@ -376,11 +368,11 @@ class Power(Work):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return totals.sum / (max(meter.samples - 1, 1) * meter.timestep)  # from the first sample to the last
 
-    def expected(self, random: RandomSignals) -> Expectation:
+    def expected(self, random: "RandomSignals") -> Expectation:
         return random.works[self.source][0] / random.timestep, None
 
 
-class Energy(Work):
+class ControlEnergy(Work):
     """Energy put in, without recovery of what is taken out."""
 
     what, unit = "energy", "J"
@@ -391,7 +383,7 @@ class Energy(Work):
     def result(self, totals: Totals, meter: Meter) -> Array:
         return totals.sum
 
-    def expected(self, random: RandomSignals) -> Expectation:  # n samples are n - 1 steps
+    def expected(self, random: "RandomSignals") -> Expectation:  # n samples are n - 1 steps
         return random.works[self.source][1] / random.timestep * (random.window - random.timestep), None
 
 
