@@ -134,7 +134,7 @@ margins in physics                                             2484    944     7
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1870    554     37
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2750   1276      0
+ride metrics and their expectation                             2752   1276      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,registry,run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py

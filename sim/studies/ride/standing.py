@@ -107,7 +107,9 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Standing:
     """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
-    largest = {key: max((one for one in some if one is not None), default=None) for key, some in values.items()}
+    largest = {
+        key: max((one for one in some if one is not None and math.isfinite(one)), default=None) for key, some in values.items()
+    }
     return Standing(controller, largest)
 
 
@@ -116,11 +118,11 @@ def standing_over_runs(
 ) -> Standing:
     """Returns a controller's row over several runs; each metric is an array with a number for every run.
 
-    Numbers are those of `over_runs`, with its distances. All are None if a run has no metrics.
+    Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
     over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}
-    return standing(vehicle, controller, over if all(map(math.isfinite, over.values())) else {})
+    return standing(vehicle, controller, over)
 
 
 def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
@@ -237,8 +239,8 @@ def _at_points(quantity: Field[Standing], standings: Sequence[Standing]) -> list
     others = [key for key in points if key not in same]
     if len(others) <= MOST_POINTS:
         return [first, *(_of(key, labels[key], quantity.unit, quantity.scale) for key in others)]
-    largest = lambda one: max(one.values.get(key) or 0.0 for key in others) or None  # noqa: E731
-    return [first, replace(quantity, label=f"{quantity.label}, body", value=largest, key="")]
+    label = f"{quantity.label}, body"
+    return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
 
 
 def _travel(quantity: Field[Standing], standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
