@@ -57,6 +57,7 @@ from sim.__main__ import COMMANDS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.ride import metrics
+from sim.studies.ride.registry import metric_classes
 
 HERE = Path(__file__).parent
 PACKAGES = (models, synth, sim)
@@ -335,15 +336,25 @@ def roads() -> str:
 
 
 def metric_tables() -> str:
-    """Returns the page of metrics: their definitions, and their names for the quarter-car under loads."""
+    """Returns the page of metrics: what all share, their definitions, and their names for the quarter-car under loads."""
     about, _, formulas = (inspect.getdoc(metrics) or "").partition("\n\n")
+    headings = ("name", "unit", "in `--best`", "over runs", "expectation", "definition")
+    names = {kind: name for name, kind in metric_classes().items()}
     rows = [
-        (f"`{one.name}`", one.unit, f"`{one.source}`", one.what) for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
+        (
+            f"`{one.name}`",
+            one.unit,
+            f"`{names[type(one)]}`",
+            one.over_runs.words,
+            "none" if type(one).expected is metrics.Metric.expected else "approximate" if one.approximate else "exact",
+            first(type(one)),
+        )
+        for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
     ]
     others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
     return (
         f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Metrics of a quarter-car\n\n"
-        f"{table(('name', 'unit', 'signal', 'statistic'), rows)}\n## Metrics of a full car\n\n{', '.join(others)}.\n"
+        f"{table(headings, rows)}\n## Metrics of a full car\n\n{', '.join(others)}.\n"
     )
 
 

@@ -13,6 +13,7 @@ from models.common.errors import InputError
 from sim.campaign import HERE, MOST_RUNS
 from sim.command.road_options import add_exported
 from sim.drive import RUNS_AT_ONCE
+from sim.studies.ride.registry import METRICS
 
 MOST_WORKERS = 1024
 CHECKS = ("runs", "seed")  # options of --verify, and of all else
@@ -82,7 +83,7 @@ def _parser() -> Parser:
         "--best",
         metavar="METRIC",
         help="find the controller, or the sampled variant of a law, with the smallest value of this metric over all runs: "
-        "ride, peak_travel, dynamic_load, off_ground, force_rms, force_peak, at_stops, or a metric column of the results",
+        f"{', '.join(METRICS)}, or a metric column of the results",
     )
     parser.add_argument(
         "--subject-to",

@@ -73,9 +73,10 @@ class RowObserver:
         """Prepares the runs of a batch, of all runs of one controller."""
         campaign, runs = plan.campaign, [runs[i] for i in batch.numbers]
         random, loaded = runs[0].choice.stationary, [run.road.loaded for run in runs]
+        speeds = [run.road.speed for run in runs]
 
         def meter(first: int) -> Meter:
-            return Meter(batch.vehicles, campaign.timestep, first, campaign.loaded, loaded, campaign.earlier)
+            return Meter(batch.vehicles, campaign.timestep, first, campaign.loaded, loaded, campaign.earlier, speeds)
 
         first = campaign.first if random else 0
         self._meter, self._ends = meter(first), Ends(batch)

@@ -27,12 +27,10 @@ from sim.campaign.file import Campaign
 from sim.campaign.law_keys import record_of
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
-from sim.studies.ride.metrics import Metric, metrics_of
-from sim.studies.ride.standing import columns_of, over_runs
+from sim.studies.ride.metrics import Metric, compared_metrics, metrics_of, over_runs
 
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT in SI units, for example peak_travel:0.08"
-SIGNED = ("at_end",)
 VALUE, MISS = Field[float]("value", float, ".4g"), Field[float]("miss", float, ".3g")
 DRAWN = Field[float]("drawn key", float, ".6g")
 
@@ -160,10 +158,9 @@ def _check_metric(option: str, name: str, campaign: Campaign) -> None:
 
 
 def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
-    """Returns the metrics of a vehicle: columns of the results, and by each of `KEYS` those of which it is the largest."""
-    own = {metric.name: metric for metric in metrics_of(vehicle, campaign.loaded) if metric.what not in SIGNED}
-    largest = {key: tuple(own[name] for name in names) for key, names in columns_of(vehicle).items() if names}
-    return {name: (metric,) for name, metric in own.items()} | largest
+    """Returns the metrics of a vehicle: columns of the results, and by each name of the registry those compared."""
+    compared = {name: metrics for name, metrics in compared_metrics(vehicle, campaign.loaded).items() if metrics}
+    return {metric.name: (metric,) for metric in metrics_of(vehicle, campaign.loaded)} | compared
 
 
 def _check_save(campaign: Campaign, path: Path) -> None:
@@ -186,7 +183,10 @@ def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
     values = {name: table[name].to_numpy().astype(float) for name in table.column_names}
     numbers: dict[Candidate, dict[str, float]] = {}
     for candidate, runs in candidates.items():
-        found = {name: float(np.max([over_runs(one, values[one.name][runs]) for one in some])) for name, some in asked.items()}
+        of_runs = plan.distances[runs]
+        found = {
+            name: float(np.max([over_runs(one, values[one.name][runs], of_runs) for one in some])) for name, some in asked.items()
+        }
         if all(map(math.isfinite, found.values())):
             numbers[candidate] = found
     within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]

@@ -6,7 +6,6 @@ import pyarrow as pa
 
 from models.roads.iri import SHORTEST
 from sim.campaign.file import Campaign
-from sim.studies.ride.expected import APPROXIMATE
 from sim.studies.ride.metrics import Metric, metrics_of
 from sim.studies.ride.run_metrics import ABOUT_IRI, UNIT, roughness_names
 
@@ -23,7 +22,6 @@ EXPECTED_IS = (
     "with curves by statistical linearisation; given only for random roads and stable loops"
 )
 IRI_IS = f"{ABOUT_IRI}; null for roads shorter than {SHORTEST:g} m, roads measured too coarsely, and test rigs"
-ROOT = "for a root mean square: the root of the expected mean square"
 INTEGER, NUMBER, TEXT = pa.int64(), pa.float64(), pa.string()
 
 
@@ -69,6 +67,5 @@ def _column(name: str, kind: pa.DataType = NUMBER, definition: str = "", unit: s
 
 
 def _expected(metric: Metric) -> pa.Field:
-    root = "for a VDV: the fourth root of its expected fourth power" if metric.name.endswith("_vdv") else ROOT
-    approximate = {"approximate": "yes"} if metric.name.endswith(APPROXIMATE) else {}
-    return _column(f"{EXPECTED}{metric.name}", NUMBER, EXPECTED_IS.format(root), metric.unit, **approximate)
+    approximate = {"approximate": "yes"} if metric.approximate else {}
+    return _column(f"{EXPECTED}{metric.name}", NUMBER, EXPECTED_IS.format(metric.expectation), metric.unit, **approximate)

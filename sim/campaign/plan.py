@@ -119,6 +119,14 @@ class Plan:
         return self.blocks[-1].stop
 
     @cached_property
+    def distances(self) -> Array:
+        """Measured distance of every run at its speed [m], shape (count,)."""
+        c, blocks = self.campaign, self.blocks
+        counts = [len(c.time) - (c.first if one.road.stationary else 0) for one in blocks]
+        of_blocks = [one.speed * count * c.timestep for one, count in zip(blocks, counts, strict=True)]
+        return np.repeat(of_blocks, [one.stop - one.start for one in blocks])
+
+    @cached_property
     def _starts(self) -> list[int]:
         return [block.start for block in self.blocks]
 

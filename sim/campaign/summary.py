@@ -25,12 +25,11 @@ from sim.campaign.file import Campaign
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
-from sim.studies.ride.metrics import points
+from sim.studies.ride.metrics import ROOT_MEAN_SQUARE, Metric, over_runs
+from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.standing import (
     FIELDS,
     FORCES,
-    LOAD,
-    RIDE,
     Standing,
     columns_of,
     digits,
@@ -41,11 +40,14 @@ from sim.studies.ride.standing import (
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
+HEADLINES: tuple[type[Metric], ...] = tuple(one for one in metric_classes().values() if one.headline and not one.effort)
+LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for one in HEADLINES}
 
-def headlines(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
+
+def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics of the table, each the worst of some columns: ride, travel, and dynamic load."""
-    columns, travel = columns_of(vehicle), tuple(f"{name}_rms" for name in points(vehicle).suspensions)
-    return {"ride": columns[RIDE.key], "travel": travel, "load": columns[LOAD.key]}
+    headlines: dict[str, tuple[Metric, ...]] = {one.headline: tuple(map(one, one.compared(vehicle))) for one in HEADLINES}
+    return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
@@ -57,7 +59,9 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
         values = {metric: table[metric].to_numpy().astype(float) for metric in metrics}
         standings[name] = {}
         for candidate, runs in sorted(plan.candidates(name).items(), key=lambda item: item[0].controller != PASSIVE):
-            one = standing_over_runs(vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()})
+            one = standing_over_runs(
+                vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()}, plan.distances[runs]
+            )
             standings[name][candidate] = replace(one, sound=plan.driver(name, candidate).growth == 0)
     return standings
 
@@ -98,7 +102,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     prediction; a run whose law failed has no metrics, either. A drawn law has the root mean squares of each variant, too.
     """
     lines = {name: headlines(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
-    metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
+    metrics = list(dict.fromkeys(one.name for kinds in lines.values() for some in kinds.values() for one in some))
     names = [*metrics, *(f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR))]
     table = store.read(["ended_by", "reason", *names])
     columns = {name: table[name].to_numpy() for name in names}
@@ -116,10 +120,13 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
         if (controller := plan.controllers[block.vehicle][block.controller]).user_code is True:
             entry |= {"law": controller.law.law, "failed": len(failures), "first_failure": next(iter(failures), None)}
         of_vehicle = lines[block.vehicle].items()
-        entry |= {line: _statistics(columns, some, np.arange(block.start, block.stop)) for line, some in of_vehicle}
+        every = np.arange(block.start, block.stop)
+        entry |= {line: _statistics(columns, some, every, plan.distances) for line, some in of_vehicle}
         if block.variants:
             own = block.candidates.values()
-            entry["variants"] = [{line: _statistics(columns, some, one)["rms"] for line, some in of_vehicle} for one in own]
+            entry["variants"] = [
+                {line: _statistics(columns, some, one, plan.distances)["rms"] for line, some in of_vehicle} for one in own
+            ]
         summaries.append(entry)
     vehicles, controllers = list(plan.campaign.vehicles), plan.campaign.controllers
     roads = [road.text for road in plan.campaign.roads]
@@ -129,39 +136,34 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     )
 
 
-def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
-    """Returns root mean square, 95th percentile and prediction of the worst of some columns, over the runs that have metrics.
+def _statistics(columns: Mapping[str, Array], metrics: Sequence[Metric], some: Array, distances: Array) -> dict[str, Any]:
+    """Returns value over runs, 95th percentile and prediction of the worst of some metrics, over the runs that have metrics.
 
     A kind of vehicle may have no such column, as one without a suspension has no travel.
     """
-    there = some[np.all([np.isfinite(columns[name][some]) for name in names], axis=0)] if names else some[:0]
+    there = some[np.all([np.isfinite(columns[one.name][some]) for one in metrics], axis=0)] if metrics else some[:0]
     if not len(there):
         return {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
-    rms = {name: _rms(columns[name][there]) for name in names}
-    worst = max(names, key=lambda name: rms[name])
+    over = {one: over_runs(one, columns[one.name][there], distances[there]) for one in metrics}
+    worst = max(metrics, key=lambda one: over[one])
     # A run over a random road has an expectation, one over another road its own linear response.
-    predicted = [columns[f"{prefix}{worst}"][there] for prefix in (EXPECTED, LINEAR)]
+    predicted = [columns[f"{prefix}{worst.name}"][there] for prefix in (EXPECTED, LINEAR)]
     known = next((values for values in predicted if np.isfinite(values).all()), None)
     return {
-        "column": worst,
-        "rms": rms[worst],
-        "standard_error": _standard_error(columns[worst][there]),
-        "p95": float(np.percentile(columns[worst][there], 95)),
-        "predicted": None if known is None else _rms(known),
+        "column": worst.name,
+        "rms": over[worst],
+        "standard_error": _standard_error(columns[worst.name][there]) if worst.over_runs is ROOT_MEAN_SQUARE else None,
+        "p95": float(np.percentile(columns[worst.name][there], 95)),
+        "predicted": None if known is None else over_runs(worst, known, distances[there]),
     }
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _standard_error(values: Array) -> float | None:
     """Returns the standard error of a root mean square over runs, from the spread of their squares; None of a single run."""
-    rms = _rms(values)
+    rms = float(np.sqrt(np.mean(values**2)))
     return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
-LINES = {"ride": "ride [m/s²]", "travel": "travel [m]", "load": "load [-]"}
 Rides = tuple[str, Mapping[str, float | None]]  # a road at a speed, and the ride of each controller there
 Line = tuple[str, Mapping[str, Any]]  # one of `LINES`, and an entry
 STATISTICS = tuple(
@@ -338,7 +340,7 @@ def _expected_points(plan: Plan, name: str, road: str, speed: float) -> tuple[Ar
 
     def expected(car: Vehicle, controller: AnyController) -> list[float] | None:
         found = expect(car.with_ideal_actuators, controller, spectrum, campaign.timestep, campaign.duration - campaign.settle)
-        return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
+        return None if found is None else [max(found.mean[metric.name] for metric in lines[line]) for line in (ACROSS, UP)]
 
     adjustable = {one.force: one.damper for one in vehicle.parts.adjustable}
     dampers = {one.damping: adjustable[one.force] for one in vehicle.kind.suspensions if one.force in adjustable}

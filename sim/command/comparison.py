@@ -286,7 +286,7 @@ def standings_of(
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import TRAVEL, standing, strokes_used, without_unsound
+    from sim.studies.ride.standing import standing, strokes_used, without_unsound
 
     road, (first, end) = runs[0].road, samples
     known: dict[int, Mapping[str, float | None]] = {
@@ -305,8 +305,8 @@ def standings_of(
         values = known.get(id(response))
         if values is None:
             broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
-            values = {} if broken else measure(vehicle, response, first, road.loaded, end)
+            values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
         one = standing(vehicle, name, values)
-        strokes = {} if one.values[TRAVEL.key] is None else strokes_used(runs[0].vehicle, response, first, end)
+        strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
         standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
     return without_unsound(standings, [run.controller.name for run in runs if run.controller.growth])

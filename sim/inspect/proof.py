@@ -236,7 +236,10 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
 
         h, end = log.timestep, result.get("measured_until")
         samples = round(result["measured_from"] / h), None if end is None else round(end / h) + 1
-        now |= metrics_object(run, measure_run(run, *samples))
+        measured, logged = metrics_object(run, measure_run(run, *samples)), mine[0].get("metrics", {})
+        now |= measured | {
+            "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
+        }  # others are newer
         now |= {"iri": roughness_object(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED in recorded.responses:

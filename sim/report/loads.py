@@ -23,7 +23,8 @@ from sim.report.scope import Scope
 from sim.runs.forces import pushed
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, POINTS
-from sim.studies.ride.metrics import DEGREES, PITCH, Metric, angles_of, measure, metrics_of
+from sim.studies.ride.metrics import DEGREES, Metric, angles_of, compared_metrics, measure, metrics_of
+from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.run_metrics import METRIC, RunMetrics, measure_run
 
 DURATION = 5.0  # s; longer where the loads come later
@@ -51,12 +52,13 @@ def dives(scope: Scope) -> dict[str, float]:
     A run that breaks off has none.
     """
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
-    if PITCH not in angles_of(vehicle) or not controllers:
+    dive = next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
+    if dive is None or not controllers:
         return {}
     road, time = loaded_road((choose_load(BRAKE),)), sample_times(vehicle, BRAKED, scope.map_timestep)
     runs = record([Case(vehicle, each, road) for each in controllers], time, threads=0)
     return {
-        controller.name: measure(vehicle, run.response, 0, loaded=True)[f"{PITCH}_dive"]
+        controller.name: measure(vehicle, run.response, 0, loaded=True)[dive.name]
         for controller, run in zip(controllers, runs, strict=True)
         if math.isinf(run.diverged)
     }
@@ -68,14 +70,16 @@ def loads_section(scope: Scope) -> Document:
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
     runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)
     travels = [one.deflection for one in vehicle.kind.suspensions]
-    shown = [one for one in metrics_of(vehicle, loaded=True) if one.source in angles]
-    shown += [one for one in metrics_of(vehicle) if one.source in travels and one.what == "peak"]
+    shown, at_end = [one for one in metrics_of(vehicle, loaded=True) if one.loaded], metric_classes().get("final_angle", ())
+    shown += compared_metrics(vehicle).get("peak_travel", ())
     found = [(run.controller.name, measure_run(run, 0)) for run in runs]
     columns: tuple[Field[Leaning], ...] = (
         Field("controller", lambda row: row[0]),
         Field("metric", lambda row: row[1].words),
         *(one.of(lambda row: row[2].metrics[row[1].name]) for one in METRIC[:3]),
-        Field("at rest, linear", lambda row: (row[2].static or {}).get(row[1].name.removesuffix("_at_end")), ".4g"),
+        Field(
+            "at rest, linear", lambda row: (row[2].static or {}).get(row[1].source if isinstance(row[1], at_end) else ""), ".4g"
+        ),
     )
     carried = "there is no anti-dive: springs, bars and tyres carry it all"
     if vehicle.kind.wheel_loads(vehicle.parameters):

@@ -22,7 +22,7 @@ from sim.drive.regime import FLAT, REGIME_ENDS, reached
 from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
-from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
+from sim.studies.ride.metrics import Meter, compared_metrics, metrics_of, over_runs
 from sim.studies.ride.standing import Standing, standing, standing_over_runs
 from synth.controller.controller import AnyController
 
@@ -164,7 +164,7 @@ class OverRoads:
         flat = [reached(vehicle, one.response)[REGIME_ENDS.index(FLAT)] for one in runs]
         self.ended = np.minimum([one.diverged for one in runs], flat)
         self.ran_away = np.array([one.response.ran_away for one in runs])
-        meter = Meter([vehicle] * count, float(time[1]), round(start / timestep))
+        meter = Meter([vehicle] * count, float(time[1]), round(start / timestep), speeds=[SPEED] * count)
         meter.update(values)
         self.found = meter.result()
 
@@ -184,24 +184,22 @@ class OverRoads:
         """Yields every metric of every class."""
         vehicle, controller = self.vehicle, self.controller
         ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)
-        where = points(vehicle)
-        metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
-        metrics += [(f"{name}_rms", "m") for name in where.suspensions]
-        metrics += [(dynamic_load(name), "-") for name in where.tyres]
-        metrics += [(f"{name}_rms", "N") for name, *_ in where.actuators if controller.acts]
+        metrics = [one for one in metrics_of(vehicle) if one.headline and (controller.acts or not one.effort)]
+        lifts = [one.name for one in compared_metrics(vehicle).get("off_ground", ())]
         for road_class in self.classes:
             runs = self._runs(road_class)
             through = np.isinf(self.ended[runs])
             some = {name: each[runs][through] for name, each in self.found.items()}
             expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW)
-            lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
+            lifted = max((float(some[name].max(initial=0.0)) for name in lifts), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():
                 broken = f"flat{', diverged or of an overflowing law' if self.ran_away[runs].any() else ' or diverged'}"
                 events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
-            for name, unit in metrics:
-                measured = float(np.sqrt(np.mean(some[name] ** 2))) if through.any() else math.nan
+            for metric in metrics:
+                name, unit = metric.name, metric.unit
+                measured = over_runs(metric, some[name]) if through.any() else math.nan
                 predicted, spread = (
                     (expected.mean[name], expected.spread.get(name, math.nan)) if expected else (math.nan, math.nan)
                 )
-                yield Ride(road_class, controller.name, name.replace("_", " "), unit, measured, predicted, spread, events)
+                yield Ride(road_class, controller.name, metric.words, unit, measured, predicted, spread, events)

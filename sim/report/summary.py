@@ -18,18 +18,14 @@ from sim.report.ride import AVERAGE, SEEDS, SPEED
 from sim.report.scope import NAME, Scope
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
-from sim.studies.ride.standing import CHANGES, FORCE, LOAD, RIDE, TRAVEL, Standing, best, compared_table, headline
+from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Standing, best, compared_table, headline
+from sim.studies.ride.standing import digits as of_table
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd
 from synth.controller.report import NORM
 
-PANELS = {  # of the first figure
-    RIDE: "Acceleration of the body",
-    TRAVEL: "Travel of the suspension",
-    LOAD: "Dynamic tyre load",
-    FORCE: "Largest force",
-}
+PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # of the first figure
 
 
 def first_screen(
@@ -42,7 +38,7 @@ def first_screen(
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """
-    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), RIDE.form, unit="deg")] if dive else []
+    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), of_table, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
     return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 

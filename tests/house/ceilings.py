@@ -37,7 +37,7 @@ foreign FMU as a controller                                     146    198      
 laws in Python                                                  769    732    103
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
-custom vehicle types                                            193    412    129
+custom vehicle types                                            193    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
 semi-active dampers and laws                                   1304    755    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
@@ -54,7 +54,7 @@ curves of dampers and springs, statistical linearisation       3192   2170    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      565    194      0
     models/characteristics/stops.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2149   1807      0
+parts of a suspension                                          2149   1852      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -117,15 +117,15 @@ synth command, controller record, designer                     3380    650    15
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
     tests/*/test_{law_warnings,synth_command}.py docs/how-to/synth.md
-log re-verification                                             855    579     43
+log re-verification                                             858    579     43
     sim/inspect/* tests/support/rewriting.py tests/claims/test_inspect.py docs/how-to/inspect.md
 recordings: MCAP, Foxglove, Rerun                              2196   1139     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               4117   1353     68
+page and figures                                               4115   1353     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2746   1800    195
+campaigns                                                      2755   1799    195
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 gallery of papers                                               719    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py
@@ -135,9 +135,9 @@ margins in physics                                             1934    823     7
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1740    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             2269   1265      0
+ride metrics and their expectation                             2753   1276      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
-    sim/studies/ride/{run_metrics,standing,step_response,weighting}.py
+    sim/studies/ride/{kinds/*,registry,run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
@@ -161,7 +161,7 @@ commands that drive                                            1116   1002    40
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   4196   1570
+house, pages, benchmarks                                          0   4262   1581
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/support/ruler/*

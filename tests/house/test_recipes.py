@@ -261,6 +261,72 @@ def test_add_a_driver_and_an_observer(tmp_path):
     assert run.stdout.splitlines() == ["True True"] * 2 + ["[True, True]"] * 2, run.stderr
 
 
+def test_add_a_metric(tmp_path):
+    """The recipe's file and line alone make a metric: measured, expected, compared over runs by its own rule, an objective."""
+    recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a metric")
+    file, line = recipe.blocks("python")
+    for folder in ("models", "synth", "sim", "docs"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    (tmp_path / "campaign.toml").write_text(
+        'vehicles = ["quarter_car"]\ncontrollers = ["passive", "II_printed"]\nroads = ["iso8608:class=C"]\n'
+        "speeds = [10, 30]\nseeds = 2\nduration = 2\ntimestep = 2e-3\n"
+    )
+    code = """if True:
+        import contextlib, io, json, pathlib
+        import numpy as np
+        import pyarrow.parquet as pq
+        from docs.generate import metric_tables
+        from sim.campaign.__main__ import main as campaign
+        from sim.drive.__main__ import main as drive
+        from sim.inspect.__main__ import main as inspect
+
+        def told(main, *arguments):
+            with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+                main([*arguments])
+            return out.getvalue()
+
+        name, road = "sprung_acceleration_dose_per_km", ["--controller", "passive", "--road", "iso8608:class=C", "--speed", "20"]
+        log = str(next(pathlib.Path("earlier").glob("*.mcap")))
+        print("the log still proves what it claims" in told(inspect, log))
+        result = json.loads(told(drive, *road, "--duration", "2", "--no-logs", "--json"))
+        run, km = result["runs"][0]["metrics"], 20 * (2001 - 1000 * result["measured_from"]) / 1e6
+        for key in ("mujoco", "expected"):
+            print(abs(run[name][key] * km / run["sprung_acceleration_vdv"][key] ** 4 - 1) < 1e-9)
+        same = result["compared"]["controllers"][0]["dose_per_km"] == run[name]["mujoco"]
+        print(run[name]["unit"], run[name]["approximate"], same)
+        print(told(drive, *road, "--duration", "2", "--no-logs", "-v").count("m4/s7/km"))
+        best = json.loads(told(campaign, "campaign.toml", "--best", "dose_per_km", "--json"))
+        table = pq.read_table("campaign-results/results.parquet")
+        print(table.schema.field("expected_" + name).metadata[b"unit"].decode())
+        own = np.array(table["controller"].to_pylist()) == "passive"
+        vdv, speed = (table[key].to_numpy()[own] for key in ("sprung_acceleration_vdv", "speed"))
+        compared = best["compared"][0]["controllers"][0]["dose_per_km"]
+        print(abs(compared * 501 * 2e-3 * speed.sum() / 1000 / (vdv**4).sum() - 1) < 1e-9)
+        least = min(one["dose_per_km"] for one in best["compared"][0]["controllers"])
+        print(best["best"][0]["best"]["numbers"] == {"dose_per_km": least})
+        print("dose_per_km" in told(campaign, "--help"), "divided by the distance" in metric_tables())
+    """
+    before = ["-m", "sim.drive", "--controller", "passive", "--road", "iso8608:class=C", "--duration", "0.5", "--logs", "earlier"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    subprocess.run([sys.executable, *before], cwd=tmp_path, env=environment, capture_output=True, check=True)
+    (tmp_path / "sim" / "studies" / "ride" / "kinds" / "dose_per_km.py").write_text(file, encoding="utf-8")
+    path = tmp_path / "sim" / "studies" / "ride" / "registry.py"
+    source = path.read_text(encoding="utf-8")
+    path.write_text(source.replace('    "mtvv"', f'{line}    "mtvv"', 1), encoding="utf-8", newline="\n")
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert run.stdout.splitlines() == [
+        "True",
+        "True",
+        "True",
+        "m4/s7/km False True",
+        "1",
+        "m4/s7/km",
+        "True",
+        "True",
+        "True True",
+    ], run.stderr
+
+
 def test_recipes_name_what_there_is():
     """Every file that a recipe names is there, and every name of code stands in the code."""
     named = set(re.findall(r"`([\w./]+)`", page(".github/CONTRIBUTING.md")))

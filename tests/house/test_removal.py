@@ -1,5 +1,6 @@
 """What only a registry names can be removed: without its file and its lines in the registry, all else works."""
 
+import ast
 import re
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from models.laws.design_methods import METHODS
 from models.parts.registry import PARTS
 from sim.drive.drivers.registry import DRIVERS
 from sim.observers.registry import OBSERVERS
+from sim.studies.ride.registry import METRICS
 from tests.support.commands import ROOT, in_the_suite
 from tests.support.sources import sources
 
@@ -80,3 +82,46 @@ def test_methods_are_named_by_their_table():
 def test_only_the_registry_names_a_module(file):
     """No file imports a module of a registry, which alone names it."""
     assert not [(path, where) for where in REGISTRIES[file].values() for path in users(where.partition(":")[0])]
+
+
+WITHOUT_METRIC = """
+import importlib, pathlib, sys
+from sim.studies.ride.registry import METRICS
+assert sys.argv[1] not in METRICS
+for path in sorted(pathlib.Path("sim").rglob("*.py")):
+    if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
+        importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
+from sim.campaign.__main__ import main as campaign
+from sim.drive.__main__ import main
+key = next(name for name in ("ride", "peak_travel") if name in METRICS)
+road = ["--road", "iso8608:class=C", "--load", "brake:g=0.3", "--vehicle", "full_car"]
+status = main(["--controller", "passive", *road, "--duration", "0.2", "-v", "--no-logs"])
+sys.exit(status or campaign(["campaign.toml", "--best", key, "--picture", "ride.svg"]))
+"""
+RUNS = """
+vehicles = ["quarter_car"]
+controllers = ["passive", "II_printed"]
+roads = ["iso8608:class=C", "bump"]
+speeds = [15]
+duration = 0.2
+"""
+
+
+@pytest.mark.parametrize("name", in_the_suite(("ride",), METRICS))
+def test_all_else_works_without_a_metric(name, tmp_path):
+    """In a copy without a metric every module is imported, a full car is driven, and a campaign finds its best controller."""
+    for folder in ("models", "synth", "sim"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    registry = tmp_path / "sim" / "studies" / "ride" / "registry.py"
+    text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", registry.read_text(encoding="utf-8"))
+    assert count == 1
+    registry.write_text(text, encoding="utf-8")
+    module, _, named = METRICS[name].partition(":")
+    file = tmp_path / f"{module.replace('.', '/')}.py"
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    (of_class,) = (one for one in ast.parse("".join(lines)).body if isinstance(one, ast.ClassDef) and one.name == named)
+    del lines[of_class.lineno - 1 : of_class.end_lineno]
+    file.write_text("".join(lines), encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(RUNS, encoding="utf-8")
+    done = subprocess.run([sys.executable, "-c", WITHOUT_METRIC, name], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]

@@ -13,7 +13,8 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive.response import Response
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.metrics import measure, metrics_of
+from sim.studies.ride import registry
+from sim.studies.ride.metrics import Metric, measure, metrics_of
 from sim.studies.ride.weighting import sampled_wk, wk
 from synth.vehicle.designer import Designer
 from tests.conftest import BUILT, LAGGED
@@ -127,3 +128,13 @@ def test_the_whole_window_of_a_run_that_ends_in_motion_counts(paper, first):
     # The filter's error, and a straight line through the last samples; without the last three, up to 1.5 % is missing.
     assert found["sprung_acceleration_weighted"] == pytest.approx(np.mean(weighted**2) ** 0.5, rel=2e-4)
     assert found["sprung_acceleration_vdv"] == pytest.approx((np.sum(weighted**4) * 1e-3) ** 0.25, rel=2e-4)
+
+
+def test_a_metric_without_a_rule_is_refused(monkeypatch):
+    """A metric says how it is combined over runs: one that does not is no metric, and never a mean by default."""
+    monkeypatch.setattr(Metric, "what", "number", raising=False)
+    monkeypatch.setattr(Metric, "unit", "-", raising=False)
+    monkeypatch.setattr(Metric, "of", "tyres", raising=False)
+    monkeypatch.setitem(registry.METRICS, "number", "sim.studies.ride.metrics:Metric")
+    with pytest.raises(TypeError, match=r"metric 'number': sim\.studies\.ride\.metrics:Metric has no over_runs"):
+        registry.metric_classes.__wrapped__()

@@ -14,7 +14,6 @@ from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import CONSTANT, trade_off
 from sim.studies.ride.expected import expect
-from sim.studies.ride.metrics import dynamic_load
 from sim.studies.ride.standing import KEYS, Standing
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of, refused
@@ -125,7 +124,7 @@ def test_the_line_is_of_cars_with_those_dampers(drawn):
     def expected(vehicle, controller) -> tuple[float, float]:
         found = expect(vehicle, controller, spectrum, 2e-3, 2.0)
         assert found is not None
-        return found.mean[dynamic_load("tyre_deflection")], found.mean["sprung_acceleration_weighted"]
+        return found.mean["dynamic_load"], found.mean["sprung_acceleration_weighted"]
 
     line = curves["constant dampers, expected"]
     assert len(line.x) == CONSTANT

@@ -42,6 +42,7 @@ It may exceed its final value: the start excites modes that are slower than the 
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -51,8 +52,8 @@ from models.common.threads import one_thread
 from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import driven_loop, stepwise_frequency_response
-from sim.studies.ride.gaussian import Gaussian, positive_part
-from sim.studies.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
+from sim.studies.ride.gaussian import Gaussian, RandomSignals, positive_part
+from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equivalent
 from sim.studies.ride.weighting import SampledWk, sampled_wk
@@ -144,8 +145,7 @@ def settled_shares(
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
 
-    where, units = points(vehicle), [vehicle.kind.signal(name).unit for name in model.outputs]
-    measured = {*where.accelerations, *where.suspensions, *where.tyres, *(name for name, *_ in where.actuators)}
+    units, measured = [vehicle.kind.signal(name).unit for name in model.outputs], {one.source for one in metrics_of(vehicle)}
     loudest = np.array([max(v for v, u in zip(comes_to, units, strict=True) if u == unit) for unit in units])
     return {
         name: max(float(now[i] / comes_to[i]), 0.0)
@@ -156,7 +156,6 @@ def settled_shares(
 
 FORGOTTEN = 0.01  # share of the variance that the slowest mode may still lack when measuring begins
 EXACT = 1e-4  # relative error of an integral that is not reported
-APPROXIMATE = ("_vdv", "_mtvv", "_crest", "_peak")  # endings of the metrics whose expectation is approximate
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,15 +209,15 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:
         return None
-    stops, vehicle, rest = vehicle.parts.strokes, line.vehicle, line.remainder
+    stops, metrics, vehicle, rest = vehicle.parts.strokes, metrics_of(vehicle), line.vehicle, line.remainder
     low, high = road.band
     poles, rounding = loop_poles(vehicle, controller, timestep, high)
-    where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    accelerations, static = vehicle.ride_points.all, vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     loads = {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)}
-    ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
-    pushing = [(name, *travel) for name, *travel in where.actuators if travel]
+    ride, weigh = [index[name] for name in accelerations], sampled_wk(timestep)
+    pushing = [(name, vehicle.kind.pushed(name)) for name in vehicle.linear_model.inputs if vehicle.kind.pushed(name)]
     pushed = [[index[signal] for signal in pair] for pair in pushing]
     lags = vehicle.limits.actuator_bandwidth is not None
 
@@ -256,48 +255,34 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     grain = 2 * math.exp(-narrowest * road.length / road.speed)
     error = max(band.error, grain, rounding)
 
-    mean, spread = {}, {}
+    @cache
+    def of_column(column: int) -> Gaussian:
+        return Gaussian(band.values[:, :, column].T, band.omega, band.share)
 
-    # The lines of a road have fixed amplitudes, so metrics over its whole length have no spread.
-    varied = max(1 - window * road.speed / road.length, 0.0)
-
-    def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> Gaussian:
-        signal = Gaussian(band.values[:, :, column].T, band.omega, band.share)
-        square = signal.clipped_mean_square(clip)
-        whole = square + offset**2
-        mean[metric] = math.sqrt(whole) * scale
-        # The relative spread of an rms is half that of the mean square.
-        variance = signal.mean_square_variance(window, clip)
-        spread[metric] = mean[metric] * math.sqrt(varied * variance) / (2 * whole) if square else 0.0
-        return signal
-
-    for i, name in enumerate(where.accelerations, start=len(index)):
-        root(f"{name}_rms", index[name])
-        weighted = root(f"{name}_weighted", i)
-        mean[f"{name}_vdv"] = (window * weighted.mean_fourth_power) ** 0.25
-        mean[f"{name}_mtvv"] = weighted.largest_running(window, RUNNING)
-        mean[f"{name}_crest"] = weighted.largest(window)
-    for name in where.suspensions:
-        offset = line.mean.get(name, 0.0)
-        signal = root(f"{name}_rms", index[name], offset=offset)
-        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
-        if (strokes := stops.get(name)) is not None:
-            bump, rebound = (strokes.get(side, math.inf) for side in SIDES)
-            mean[f"{name}_at_stops"] = signal.beyond(bump + offset) + signal.beyond(rebound - offset)
-    for name in where.tyres:
-        signal = root(dynamic_load(name), index[name], static[name], 1 / static[name])
-        mean[off_ground(name)] = signal.beyond(static[name])
-    for name, *_ in where.actuators:
-        offset = line.mean.get(name, 0.0)
-        signal = root(f"{name}_rms", index[name], offset=offset)
-        mean[f"{name}_peak"] = signal.largest(window) * signal.sigma + abs(offset)
     works = np.einsum("f,fsc->cs", band.share, band.values[:, :, len(index) + len(ride) :])
     works = works.reshape(len(pushing), 3, band.values.shape[1])
+    of_actuators = {}
     for (name, _), work in zip(pushing, works, strict=True):
         net, positive = work_rate(*work, mean=line.mean.get(name, 0.0))
-        # n samples are n - 1 steps.
-        net, positive = vehicle.motion_ratios[name] * net, vehicle.motion_ratios[name] * positive
-        mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
+        of_actuators[name] = vehicle.motion_ratios[name] * net, vehicle.motion_ratios[name] * positive
+    random = RandomSignals(
+        lambda name: of_column(index[name]),
+        lambda name: of_column(len(index) + accelerations.index(name)),
+        window,
+        timestep,
+        road.speed,
+        # The lines of a road have fixed amplitudes, so metrics over its whole length have no spread.
+        max(1 - window * road.speed / road.length, 0.0),
+        line.mean,
+        static,
+        {name: (strokes.get(SIDES[0], math.inf), strokes.get(SIDES[1], math.inf)) for name, strokes in stops.items()},
+        of_actuators,
+    )
+    mean, spread = {}, {}
+    for metric in metrics:
+        if (value := metric.expected(random)) is not None:
+            mean[metric.name] = value[0]
+            spread |= {metric.name: value[1]} if value[1] is not None else {}
     return Expected(mean, spread, error, line)
 
 

@@ -18,6 +18,7 @@ Gaussian signal of its spectrum.
 
 import math
 import statistics
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -139,6 +140,48 @@ class Gaussian:
         rho = np.fft.hfft(self._mass, _power_of_two(4 * len(self._mass)))
         half = len(rho) // 2
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
+
+
+@dataclass(frozen=True, eq=False)
+class RandomSignals:
+    """The signals of a vehicle over all random roads of a kind.
+
+    Attributes:
+        signal: function of a signal's name; returns it.
+        weighted: function of an acceleration's name; returns the weighted acceleration.
+        window: duration of the measurement [s].
+        timestep: timestep [s].
+        speed: speed of the vehicle [m/s].
+        varied: share of the variance from road to road that the finite length of a road leaves.
+        mean: mean of signals whose mean is not zero, by name.
+        static: static deflection of every tyre [m].
+        strokes: strokes of every suspension with stops in bump and in rebound [m], infinite without a stop.
+        works: expected work of a step of every actuator in a suspension, and its positive part [J].
+    """
+
+    signal: Callable[[str], Gaussian]
+    weighted: Callable[[str], Gaussian]
+    window: float
+    timestep: float
+    speed: float
+    varied: float
+    mean: Mapping[str, float]
+    static: Mapping[str, float]
+    strokes: Mapping[str, tuple[float, float]]
+    works: Mapping[str, tuple[float, float]]
+
+    def offset(self, name: str) -> float:
+        """Returns the mean of a signal."""
+        return self.mean.get(name, 0.0)
+
+    def rms(self, signal: Gaussian, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
+        """Returns the root of the expected mean square of scale times min(x, clip), and its standard deviation between roads."""
+        square = signal.clipped_mean_square(clip)
+        whole = square + offset**2
+        value = math.sqrt(whole) * scale
+        # The relative spread of an rms is half that of the mean square.
+        variance = signal.mean_square_variance(self.window, clip)
+        return value, value * math.sqrt(self.varied * variance) / (2 * whole) if square else 0.0
 
 
 def _power_of_two(count: int) -> int:

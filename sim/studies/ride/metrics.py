@@ -1,27 +1,14 @@
 """Metrics of a suspension: ride, travel, road holding, and actuator effort, computed block by block during a run.
 
-Ride, for every vertical acceleration a of the body, weighted by W_k of ISO 2631-1 (`sim/studies/ride/weighting.py`) to a_w:
-
-    weighted rms (6.1);    VDV = (integral a_w^4 dt)^(1/4) (6.3.2);    crest factor = largest |a_w| / rms (6.2);
-    MTVV = largest running rms, averaged exponentially over 1 s (6.3.1).
+A metric is a class of the registry: its name, unit and signals, its rules over time and over runs, and its expectation.
 
 A held force jumps at a sample, and so do the accelerations. A sample of an acceleration counts as the mean of its values just
 before and just after the jump. Taken after the jump, it would lack the mean delay of a held force, half a step. A loop whose
 forces cancel most of the spring's and the damper's would then look better by per cents.
 
-Travel, for every suspension: rms, peak, and the share of time at the bump stops.
-
-Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient rms(F - F_static) /
-F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces that rms.
-
-Effort, for every actuator: force, mean power into the suspension, and the energy put in, without recovery of what is taken out.
-Power and energy follow from the work of each step. It is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel
-s changes. For a lagging force, which changes too, the mean of u[k] and u[k+1] counts.
-
-Angles, for a body under loads: dive, squat and roll.
-
-The window of all metrics leaves out the transient at the start of a run from rest. The filter of W_k is three samples late, and
-its outputs of the window's last samples follow from a straight line through the last two.
+The window of all metrics leaves out the transient at the start of a run from rest. The filter of W_k of ISO 2631-1
+(`sim/studies/ride/weighting.py`) is three samples late, and its outputs of the window's last samples follow from a straight line
+through the last two.
 
 The rms of an acceleration, and rms and peak of a damper's force, use the values on both sides of a jump if the vehicle has
 adjustable dampers.
@@ -31,39 +18,34 @@ MuJoCo's readings they are right to the square of the angle.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
-from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
 from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import Jumps
 from sim.drive.response import Response
+from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.weighting import LATE, filtered, sampled_wk
 from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of
 
+if TYPE_CHECKING:
+    from sim.studies.ride.gaussian import RandomSignals
+
 DEGREES = 180 / math.pi
 PITCH, ROLL = "pitch_angle", "roll_angle"
-KINDS = {PITCH: ("dive", "squat", "at_end"), ROLL: ("peak", "at_end")}  # dive: nose down; squat: nose up; at_end: signed
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
     """Returns the angles of a vehicle's body [rad], each as coefficients of its signals."""
     return vehicle.kind.angles(vehicle.parameters)
-
-
-def angle_metrics(angle: Array) -> dict[str, Array]:
-    """Returns the metrics of `KINDS`, in degrees, shape (N,), for an angle [rad] over time, shape (N, B)."""
-    largest, smallest, zero = angle.max(axis=1), angle.min(axis=1), np.zeros(len(angle))
-    metrics = {"dive": np.maximum(largest, zero), "squat": np.maximum(-smallest, zero)}
-    metrics |= {"peak": np.maximum(largest, -smallest), "at_end": angle[:, -1]}
-    return {name: DEGREES * value for name, value in metrics.items()}
 
 
 def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time: float) -> dict[str, float]:
@@ -93,102 +75,181 @@ ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had
 
 
 @dataclass(frozen=True)
-class Metric:
-    """Definition of a metric of a run.
+class OverRuns:
+    """Rule that combines a metric of several runs.
 
     Attributes:
-        name: column name in files.
-        unit: SI.
-        source: signal that is evaluated.
-        what: statistic of that signal.
+        words: the rule in words.
+        of: function of the values of the runs and of their measured distances [m], shape (R,) each.
     """
 
-    name: str
-    unit: str
+    words: str
+    of: Callable[[Array, Array], Any]
+
+
+ROOT_MEAN_SQUARE = OverRuns("root mean square", lambda values, _: np.sqrt(np.mean(values**2)))
+MEAN = OverRuns("mean", lambda values, _: values.mean())
+LARGEST = OverRuns("largest", lambda values, _: values.max())
+TOTAL = OverRuns("sum", lambda values, _: values.sum())
+PER_DISTANCE = OverRuns("mean by distance", lambda values, distances: values @ distances / distances.sum())
+
+
+@dataclass(frozen=True)
+class Column:
+    """Column of the table of controllers: the largest value of a metric over the vehicle's points, smaller is better.
+
+    Attributes:
+        label: heading.
+        unit: printed unit; empty for none.
+        scale: printed number of an SI unit.
+        change: name of the change from passive; empty for a column without changes.
+        praise: verb and object of a controller that is the best, for a sentence; empty for a column that no sentence names.
+        bars: title of the bars of a report; empty for none.
+        by_side: True for a travel, which is shown in bump and in rebound if the vehicle has strokes.
+    """
+
+    label: str
+    unit: str = ""
+    scale: float = 1.0
+    change: str = ""
+    praise: tuple[str, str] = ("", "")
+    bars: str = ""
+    by_side: bool = False
+
+
+Expectation = tuple[float, float | None] | None  # and the standard deviation from road to road
+
+
+class Totals:
+    """Sums and largest values of a metric over the blocks so far, each of shape (N,) after the first."""
+
+    sum: Any = 0
+    shift: Any = 0
+    largest: Any = -math.inf
+
+    def add(self, amount: Array) -> None:
+        """Adds the amounts of a block, shape (N,)."""
+        self.sum = self.sum + amount
+
+    def keep(self, values: Array) -> None:
+        """Keeps the largest magnitude of values, shape (N, B)."""
+        self.keep_largest(np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0)  # no -0
+
+    def keep_largest(self, largest: Array) -> None:
+        """Keeps the larger of values, shape (N,)."""
+        self.largest = np.maximum(self.largest, largest)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of one signal of a run. Its class is registered in `sim/studies/ride/registry.py`.
+
+    Attributes:
+        source: signal that is evaluated.
+        what: statistic of that signal.
+        unit: SI.
+        of: group of signals in whose rows a table shows the metric.
+        over_runs: rule over several runs.
+        approximate: False if the expectation is exact for a stationary linear run.
+        expectation: definition of the expected value, if it is not the mean.
+        accuracy: clause on the error of an approximate expectation; empty for none.
+        column: column of the table of controllers; None without one.
+        headline: name in the short tables of campaigns and reports; empty if it is not in them.
+        effort: True for a metric of actuators, which passive has not.
+        loaded: True for a metric that is measured only if loads act on the body.
+    """
+
     source: str
-    what: str
+    what: ClassVar[str]
+    unit: ClassVar[str]
+    of: ClassVar[str]
+    over_runs: ClassVar[OverRuns]
+    approximate: ClassVar[bool] = True
+    expectation: ClassVar[str] = "for a root mean square: the root of the expected mean square"
+    accuracy: ClassVar[str] = ""
+    column: ClassVar[Column | None] = None
+    headline: ClassVar[str] = ""
+    effort: ClassVar[bool] = False
+    loaded: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """Column name in files."""
+        return f"{self.source}_{self.what}"
 
     @property
     def words(self) -> str:
         """The name in words."""
         return self.name.replace("_", " ")
 
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        """Returns the signals of a vehicle that have this metric."""
+        raise NotImplementedError
 
-@dataclass(frozen=True)
-class Points:
-    """Names of the signals at which a vehicle is measured.
+    @classmethod
+    def compared(cls, vehicle: Vehicle) -> Sequence[str]:
+        """Returns the signals whose largest value counts for the vehicle: all of them, unless a metric knows better."""
+        return cls.sources(vehicle)
 
-    Attributes:
-        accelerations: accelerations of the body, those of points with a person first.
-        suspensions: deflections of the suspensions.
-        tyres: deflections of the tyres.
-        actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
+    @classmethod
+    def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
+        """Returns the signals that have a column of their own, too."""
+        return ()
+
+    def update(self, meter: "Meter", totals: Totals) -> None:
+        """Adds the meter's block."""
+
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        """Adds a block of the weighted acceleration and of its running mean square over `RUNNING`, shape (N, B) each."""
+
+    def result(self, totals: Totals, meter: "Meter") -> Array:
+        """Returns the metric after the last block, shape (N,)."""
+        raise NotImplementedError
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        """Returns the expectation over random roads, and its standard deviation from road to road or None if that is unknown.
+
+        None if the metric has no known expectation.
+        """
+        return None
+
+
+def over_runs(metric: Metric, values: Array, distances: Array | None = None) -> float:
+    """Returns a metric over several runs by its own rule.
+
+    Args:
+        values: value of each run, shape (R,).
+        distances: measured distance of each run [m], shape (R,); None if all are equal.
     """
-
-    accelerations: tuple[str, ...]
-    suspensions: tuple[str, ...]
-    tyres: tuple[str, ...]
-    actuators: tuple[tuple[str, ...], ...]
+    return float(metric.over_runs.of(values, np.ones(len(values)) if distances is None else distances))
 
 
-def points(vehicle: Vehicle) -> Points:
-    """Returns the points of a vehicle."""
-    model, kind = vehicle.linear_model, vehicle.kind
-    return Points(
-        accelerations=vehicle.ride_points.all,
-        suspensions=tuple(one.deflection for one in kind.suspensions),
-        tyres=tuple(wheel.tyre_deflection for wheel in kind.wheels),
-        actuators=tuple((force, kind.pushed(force)) if kind.pushed(force) else (force,) for force in model.inputs),
-    )
+def squares(values: Array) -> Array:
+    """Returns the sum of squares of each row."""
+    return (values * values).sum(axis=1)
 
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
-    """Returns the metrics of a vehicle, in the order of a table; if loads act on its body, its angles come first."""
-    where, stops = points(vehicle), vehicle.parts.strokes
-    metrics = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
-    for name in where.accelerations:
-        units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
-        metrics += [_of(name, what, unit) for what, unit in units.items()]
-    for name in where.suspensions:
-        metrics += [_of(name, "rms", "m"), _of(name, "peak", "m")]
-        if name in stops:
-            metrics.append(_of(name, "at_stops", "-"))
-    for name in where.tyres:
-        metrics += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
-    for name, *travel in where.actuators:
-        metrics += [_of(name, "rms", "N"), _of(name, "peak", "N")]
-        if travel:
-            metrics += [Metric(power(name), "W", name, "power"), Metric(energy(name), "J", name, "energy")]
-    return tuple(metrics)
+    """Returns the metrics of a vehicle, signal by signal; if loads act on its body, its angles come first."""
+    groups: dict[str, list[tuple[type[Metric], Sequence[str]]]] = {}
+    for kind in metric_classes().values():
+        if loaded or not kind.loaded:
+            groups.setdefault(kind.of, []).append((kind, kind.sources(vehicle)))
+    return tuple(
+        kind(source)
+        for group in groups.values()
+        for source in dict.fromkeys(name for _, sources in group for name in sources)
+        for kind, sources in group
+        if source in sources
+    )
 
 
-def _of(signal: str, what: str, unit: str) -> Metric:
-    return Metric(f"{signal}_{what}", unit, signal, what)
-
-
-def dynamic_load(tyre: str) -> str:
-    """Returns the name of the dynamic load coefficient of a tyre."""
-    return _named_after(tyre, TYRE_DEFLECTION, "dynamic_load")
-
-
-def off_ground(tyre: str) -> str:
-    """Returns the name of a tyre's share of time off the ground."""
-    return _named_after(tyre, TYRE_DEFLECTION, "off_ground")
-
-
-def power(force: str) -> str:
-    """Returns the name of the mean power of an actuator."""
-    return _named_after(force, CONTROL_FORCE, "control_power")
-
-
-def energy(force: str) -> str:
-    """Returns the name of the energy of an actuator."""
-    return _named_after(force, CONTROL_FORCE, "control_energy")
-
-
-def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """Returns a signal's name with the metric instead of the common prefix, or behind the name if it lacks that prefix."""
-    return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
+def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
+    """Returns, by name of the registry, the metrics of which the largest counts for the vehicle; empty if it has none."""
+    return {
+        name: tuple(map(kind, kind.compared(vehicle))) for name, kind in metric_classes().items() if loaded or not kind.loaded
+    }
 
 
 class Meter:
@@ -205,6 +266,7 @@ class Meter:
         loaded: bool = False,
         pushed: Sequence[bool] | None = None,
         earlier: bool = False,
+        speeds: Sequence[float] | None = None,
     ) -> None:
         """Prepares the meter.
 
@@ -215,44 +277,43 @@ class Meter:
             loaded: True if loads act on any body, so that angles are measured.
             pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.
             earlier: True for the weighted metrics of earlier versions, whose window was as late as the filter.
+            speeds: speed of each run [m/s], N entries; None if it is unknown, so that no metric refers to the distance.
         """
         self.late = 0 if earlier else LATE
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
-        self.where = points(self.vehicle)
+        self.speeds = np.array([math.nan] * count if speeds is None else speeds)
+        self.accelerations, tyres = self.vehicle.ride_points.all, [one.tyre_deflection for one in self.vehicle.kind.wheels]
+        self.totals = {metric: Totals() for metric in metrics_of(self.vehicle, loaded)}
         names = [signal.name for signal in self.vehicle.kind.signals]
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         self.ratios = MotionRatios(vehicles)
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
-        self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
+        self.static = {name: np.array([static[name] for static in statics]) for name in tyres}
         self.strokes = {
             name: np.array([[one.parts.strokes[name].get(side, np.inf) for side in SIDES] for one in vehicles]).T[..., None]
             for name in self.vehicle.parts.strokes
         }
         damped = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
-        tyres = {name: tyre for one in damped for name, tyre in one.items()}
-        times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in tyres}
-        self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in tyres.items()}
+        dampers = {name: tyre for one in damped for name, tyre in one.items()}
+        times = {name: np.array([one[name].time if name in one else 0.0 for one in damped]) for name in dampers}
+        self.damped = {name: (names.index(one.hub), names.index(one.road), times[name]) for name, one in dampers.items()}
         # Coefficients of every angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
             angle: {names.index(name): np.array([one[angle][name] for one in angles]) for name in parts}
             for angle, parts in (angles[0].items() if angles else ())
         }
-        self.ends: dict[str, Array] = {}
         self.filter = sampled_wk(timestep)
         self.memory = {
             name: np.zeros((*np.shape(self.filter.denominators)[:1], count, self.filter.numerators.shape[1] - 1))
-            for name in self.where.accelerations
+            for name in self.accelerations
         }
-        self.running = {name: np.zeros((1, count, 1)) for name in self.where.accelerations}
+        self.running = {name: np.zeros((1, count, 1)) for name in self.accelerations}
         self.last: dict[str, Array] = {}  # last two samples of accelerations, shape (N, 2)
-        self.both_sides = bool(self.vehicle.dampers)
-        self.jumps = Jumps(vehicles, (*self.where.accelerations, *(self.vehicle.linear_model.inputs if self.both_sides else ())))
+        self.jumps = Jumps(vehicles, (*self.accelerations, *(self.vehicle.linear_model.inputs if self.vehicle.dampers else ())))
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
         self.before: dict[str, Array] = {}  # last sample of forces and deflections, for the work, shape (N, 1)
-        self.sums: dict[str, Array] = {}
-        self.largest: dict[str, Array] = {}
         self.seen = self.samples = 0
 
     def update(self, values: Array) -> None:
@@ -260,135 +321,101 @@ class Meter:
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
-        jumps = self.jumps(values)
-        for name in self.where.accelerations:
-            acceleration = self._signal(values, name)
-            acceleration = acceleration - jumps[name] / 2 if name in jumps else acceleration
-            if skip < len(values):
-                self._add(f"{name}_rms", _squares(acceleration[:, skip:]))
-            self._ride(name, acceleration, self.seen - len(values))
+        jumps, self.block, self.midway, self.works = self.jumps(values), values, dict[str, Array](), dict[str, Array]()
+        for name in self.accelerations:
+            acceleration = self[name] - jumps[name] / 2 if name in jumps else self[name]
+            self._weigh(name, acceleration, self.seen - len(values))
             self.last[name] = np.concatenate([self.last.get(name, acceleration[:, :1]), acceleration], axis=1)[:, -2:]
-            if self.both_sides and name in jumps:  # of both sides: of their mean, and of half their difference
-                self._add(f"{name}_rms", _squares(jumps[name][:, skip:] / 2))
+            self.midway[name] = acceleration[:, skip:]
         if skip == len(values):
             return
-        values = values[skip:]
-        for angle, parts in self.angles.items():
-            over = np.zeros(values.shape[:1:-1] + values.shape[:1])
-            for i, share in parts.items():
-                over += share[:, None] * values[:, i].T
-            of_block = angle_metrics(over)
-            for what in KINDS[angle]:
-                name = f"{angle}_{what}"
-                self.ends[name] = of_block[what] if what == "at_end" else np.maximum(self.ends.get(name, 0.0), of_block[what])
-        for name in self.where.suspensions:
-            deflection = self._signal(values, name)
-            self._add(f"{name}_rms", _squares(deflection))
-            self._keep(f"{name}_peak", deflection)
-            if name in self.strokes:
-                bump, rebound = self.strokes[name]
-                beyond = (deflection <= -bump) | (deflection >= rebound)
-                self._add(f"{name}_at_stops", np.count_nonzero(beyond, axis=1))
-        for name in self.where.tyres:
-            deflection, static = self._signal(values, name), self.static[name][:, None]
-            if name in self.damped:  # by its whole force
-                hub, road, time = self.damped[name]
-                deflection = deflection + time[:, None] * (values[:, hub] - values[:, road]).T
-            self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
-            carried = np.minimum(deflection, static)
-            self._add(dynamic_load(name), _squares(carried))
-            if self.pushed.any():
-                self._add(f"{dynamic_load(name)}_shift", carried.sum(axis=1))
-        for name, *travel in self.where.actuators:
-            force = self._signal(values, name)
-            self._add(f"{name}_rms", _squares(force))
-            self._keep(f"{name}_peak", force)
-            if name in jumps:
-                before = force - jumps[name][:, skip:]
-                self._add(f"{name}_rms", (_squares(before) - _squares(force)) / 2)
-                self._keep(f"{name}_peak", before)
-            if travel:
-                force, along = self._joined(name, force), self._joined(travel[0], self._signal(values, travel[0]))
-                work = (force[:, :-1] + force[:, 1:]) / 2 if self.lags else force[:, :-1]
-                work = work * np.diff(along, axis=1) * self.ratios.of(name, along[:, :-1].T).T
-                self._add(power(name), work.sum(axis=1))
-                self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
+        self.block = values[skip:]
+        self.both_sides = {name: jump[:, skip:] for name, jump in jumps.items()} if self.vehicle.dampers else {}
+        for metric, totals in self.totals.items():
+            metric.update(self, totals)
 
     def result(self) -> dict[str, Array]:
         """Returns every metric, shape (N,), after the last block."""
         for name, last in self.last.items():  # the filter is late: straight lines go on behind the last samples
-            self._ride(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
+            self._weigh(name, last[:, 1:] + np.diff(last, axis=1) * np.arange(1, self.late + 1), self.seen)
         self.last = {}
-        mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
-        values = self.ends | {name: largest for name, largest in self.largest.items() if name.endswith("_peak")}
-        values |= {name: np.sqrt(square) for name, square in mean.items() if name.endswith(("_rms", "_weighted"))}
-        values |= {
-            name: mean[name] for name in (*(f"{one}_at_stops" for one in self.strokes), *map(off_ground, self.where.tyres))
-        }
-        for name in self.where.accelerations:
-            weighted = values[f"{name}_weighted"]
-            still = weighted == 0
-            values[f"{name}_vdv"] = (mean[f"{name}_vdv"] * duration) ** 0.25
-            values[f"{name}_mtvv"] = np.sqrt(self.largest[f"{name}_mtvv"])
-            values[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
-        for name in self.where.tyres:
-            shift = np.where(self.pushed, mean.get(f"{dynamic_load(name)}_shift", 0.0), 0.0)
-            values[dynamic_load(name)] = np.sqrt(np.maximum(mean[dynamic_load(name)] - shift * shift, 0.0)) / self.static[name]
-        passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
-        for name, *travel in self.where.actuators:
-            if travel:
-                values |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
-        return values
+        return {metric.name: metric.result(totals, self) for metric, totals in self.totals.items()}
 
-    def _ride(self, name: str, acceleration: Array, seen: int) -> None:
-        """Adds the next samples of an acceleration, shape (N, B), after so many."""
+    @property
+    def duration(self) -> float:
+        """Duration of the window, a timestep for every sample [s]."""
+        return self.samples * self.timestep
+
+    @property
+    def distances(self) -> Array:
+        """Distance of each run in the window [m], shape (N,); NaN on a rig, or without a speed."""
+        return np.where(self.speeds > 0, self.speeds * self.duration, np.nan)
+
+    def __getitem__(self, name: str) -> Array:
+        """Returns an output signal of the block, with each run's samples contiguous, shape (N, B)."""
+        return np.ascontiguousarray(self.block[:, self.index[name]].T)
+
+    def angle(self, name: str) -> Array:
+        """Returns an angle of the body in the block [rad], shape (N, B)."""
+        angle = np.zeros(self.block.shape[:1:-1] + self.block.shape[:1])
+        for i, share in self.angles[name].items():
+            angle += share[:, None] * self.block[:, i].T
+        return angle
+
+    def tyre(self, name: str) -> tuple[Array, Array]:
+        """Returns the deflection of a tyre with the same force but no damping, shape (N, B), and the static one, (N, 1) [m]."""
+        deflection = self[name]
+        if name in self.damped:
+            hub, road, time = self.damped[name]
+            deflection = deflection + time[:, None] * (self.block[:, hub] - self.block[:, road]).T
+        return deflection, self.static[name][:, None]
+
+    def work(self, force: str) -> Array:
+        """Returns the work of an actuator [J] in each step that ends in the block, shape (N, B), or (N, B - 1) at first."""
+        if force not in self.works:
+            acting, along = self._joined(force), self._joined(self.vehicle.kind.pushed(force))
+            work = (acting[:, :-1] + acting[:, 1:]) / 2 if self.lags else acting[:, :-1]
+            self.works[force] = work * np.diff(along, axis=1) * self.ratios.of(force, along[:, :-1].T).T
+        return self.works[force]
+
+    def _joined(self, name: str) -> Array:
+        """Returns a signal of the block, preceded by its last sample of the previous block."""
+        signal = self[name]
+        joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
+        self.before[name] = signal[:, -1:].copy()
+        return joined
+
+    def _weigh(self, name: str, acceleration: Array, seen: int) -> None:
+        """Weighs the next samples of an acceleration, shape (N, B), after so many, and adds those of the window."""
         skip = max(self.first + self.late - seen, 0)
         weighted, wk = np.zeros_like(acceleration), self.filter
         parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
         for part in parts:
             weighted += part
-        square = weighted * weighted
         forget = np.exp(-self.timestep / RUNNING)
         mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
-        (running,), self.running[name] = filtered(*mean, square, self.running[name])
+        (running,), self.running[name] = filtered(*mean, weighted * weighted, self.running[name])
         if skip < acceleration.shape[1]:
-            square = square[:, skip:]
-            self._add(f"{name}_weighted", square.sum(axis=1))
-            self._add(f"{name}_vdv", _squares(square))
-            self._keep(f"{name}_crest", weighted[:, skip:])
-            self._keep(f"{name}_mtvv", running[:, skip:])
-
-    def _signal(self, values: Array, name: str) -> Array:
-        """Returns a signal with each run's samples contiguous, shape (N, B)."""
-        return np.ascontiguousarray(values[:, self.index[name]].T)
-
-    def _joined(self, name: str, signal: Array) -> Array:
-        """Returns a signal of a block, preceded by its last sample of the previous block."""
-        joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
-        self.before[name] = signal[:, -1:].copy()
-        return joined
-
-    def _add(self, name: str, amount: Array) -> None:
-        self.sums[name] = self.sums[name] + amount if name in self.sums else amount
-
-    def _keep(self, name: str, values: Array) -> None:
-        largest = np.maximum(values.max(axis=1), -values.min(axis=1)) + 0.0  # no -0
-        self.largest[name] = np.maximum(self.largest[name], largest) if name in self.largest else largest
+            for metric, totals in self.totals.items():
+                if metric.source == name:
+                    metric.update_weighted(weighted[:, skip:], running[:, skip:], totals)
 
 
 def measure(
-    vehicle: Vehicle, response: Response, first: int, loaded: bool = False, end: int | None = None, earlier: bool = False
+    vehicle: Vehicle,
+    response: Response,
+    first: int,
+    loaded: bool = False,
+    end: int | None = None,
+    earlier: bool = False,
+    speed: float = math.nan,
 ) -> dict[str, float]:
     """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`.
 
     Args:
         end: index of the sample after the last one measured; None for the end of the response.
+        speed: speed of the vehicle [m/s].
     """
-    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier)
+    meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded, earlier=earlier, speeds=[speed])
     meter.update(response.values[:end, :, None])
     return {name: float(value[0]) for name, value in meter.result().items()}
-
-
-def _squares(values: Array) -> Array:
-    """Returns the sum of squares of each row."""
-    return (values * values).sum(axis=1)

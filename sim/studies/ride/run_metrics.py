@@ -22,7 +22,6 @@ from sim.observers.results import WHEN
 from sim.runs.report import FEW
 from sim.runs.run import Run
 from sim.studies.ride.expected import (
-    APPROXIMATE,
     EXACT,
     Expected,
     Settled,
@@ -31,7 +30,7 @@ from sim.studies.ride.expected import (
     settled,
     settling_time,
 )
-from sim.studies.ride.metrics import measure, metrics_of, static_angles
+from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
 from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
 from synth.controller.controller import AnyController
@@ -238,14 +237,14 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
             mujoco, sampled = (
-                measure(vehicle, response, first, road.loaded, end, run.prediction.input.earlier)
+                measure(vehicle, response, first, road.loaded, end, run.prediction.input.earlier, road.speed)
                 for response in (run.physics, run.sampled)
             )
     metrics, curved = {}, expected is not None and expected.line.rounds > 0
     mean, spread = (expected.mean, expected.spread) if expected else ({}, {})
     for metric in metrics_of(vehicle, road.loaded):
         found, linear, usual, off = (of.get(metric.name) for of in (mujoco, sampled, mean, spread))
-        approximate = expected is not None and (curved or metric.name.endswith(APPROXIMATE))
+        approximate = expected is not None and (curved or metric.approximate)
         metrics[metric.name] = MetricComparison(metric.unit, found, linear, usual, off, approximate)
     static = static_angles(vehicle, controller, road, float(time[-1])) if road.loaded else None
     return RunMetrics(metrics, transient, expected and expected.error, expected and expected.line, static)
@@ -288,9 +287,10 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
             "other signals are closer to their final values."
         )
     if metrics.error is not None:
+        clauses = dict.fromkeys(one.accuracy for one in metrics_of(vehicle) if one.accuracy)
         said.append(
-            "Values with ~ are approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv up to 8 %. Crest is from 7 % too "
-            "low to 14 % too high. For short runs or light damping, the deviation by road (+-) is up to 45 % too large."
+            f"Values with ~ are approximate: {', '.join(clauses)}. For short runs or light damping, the deviation by road (+-) "
+            "is up to 45 % too large."
         )
     said += line_words(vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:
@@ -324,8 +324,12 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     For more than `FEW` runs the expected ride is a detail.
     """
     angles = [
-        {name: one.mujoco for name, one in of_run.metrics.items() if one.unit == "deg" and one.mujoco is not None}
-        for of_run in measured
+        {
+            one.name: value
+            for one in metrics_of(run.vehicle, loaded=True)
+            if one.loaded and (value := of_run.metrics[one.name].mujoco) is not None
+        }
+        for run, of_run in zip(runs, measured, strict=True)
         if of_run.static is not None
     ]
     names, tables = max(angles, key=len, default={}), []
@@ -336,7 +340,7 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         )
         tables = [Table.of("angles", "Largest angles of the body.", columns, zip(runs, angles, strict=False))]
     rides = [
-        [of_run.metrics[f"{name}_weighted"] for name in run.vehicle.ride_points.worst_of]
+        [of_run.metrics[one.name] for one in compared_metrics(run.vehicle).get("ride", ())]
         for run, of_run in zip(runs, measured, strict=True)
     ]
     known = [max((one for one in some if one.expected is not None), key=EXPECTED.value, default=None) for some in rides]

@@ -8,8 +8,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.printed import GAP, wrapped
@@ -19,7 +17,8 @@ from models.document.text import BEST, CHANGE, names_text, table_lines
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
-from sim.studies.ride.metrics import Metric, dynamic_load, metrics_of, off_ground, points
+from sim.studies.ride.metrics import compared_metrics, metrics_of, over_runs
+from sim.studies.ride.registry import metric_classes
 
 
 @dataclass(frozen=True)
@@ -63,18 +62,15 @@ def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Stand
     return Field(label, lambda one: one.values.get(key), digits, scale, key, unit)
 
 
-RIDE, TRAVEL = _of("ride", "ride", "m/s²"), _of("peak_travel", "peak travel", "mm", 1e3)
-LOAD, FORCE = _of("dynamic_load", "dynamic load [-]"), _of("force_peak", "force, peak", "N")
-FORCES = (_of("force_rms", "force, rms", "N"), FORCE)  # passive has none
-OFF, STOPS = _of("off_ground", "off the ground", "%", 100.0), _of("at_stops", "at stops", "%", 100.0)
-FIELDS = (RIDE, TRAVEL, LOAD, OFF, *FORCES, STOPS)
+COLUMNS = {name: one.column for name, one in metric_classes().items() if one.column}
+FIELDS = tuple(_of(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
+FORCES = tuple(one for one in FIELDS if metric_classes()[one.key].effort)  # passive has none
 STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
 USED = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
-CHANGES = {RIDE: "ride", TRAVEL: "travel", LOAD: "tyre load"}  # of which the change from passive is shown
+CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
 MOST_POINTS = 2  # columns of ride at other points than those with a person
-AT_POINT = "ride_"  # beginning of the keys of the ride at the points of a vehicle with a person
 KEYS = tuple(one.key for one in FIELDS)
 
 
@@ -99,46 +95,34 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
 
     A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
     """
-    where, stops, felt = points(vehicle), vehicle.parts.strokes, vehicle.ride_points
-    forces = [name for name, *_ in where.actuators]
-    return {
-        RIDE.key: tuple(f"{name}_weighted" for name in felt.worst_of),
-        **{f"{AT_POINT}{name}": (f"{name}_weighted",) for name in felt.all if felt.people},
-        TRAVEL.key: tuple(f"{name}_peak" for name in where.suspensions),
-        LOAD.key: tuple(dynamic_load(name) for name in where.tyres),
-        "off_ground": tuple(off_ground(name) for name in where.tyres),
-        "force_rms": tuple(f"{name}_rms" for name in forces),
-        "force_peak": tuple(f"{name}_peak" for name in forces),
-        "at_stops": tuple(f"{name}_at_stops" for name in where.suspensions if name in stops),
-    }
+    columns: dict[str, tuple[str, ...]] = {}
+    for key, metrics in compared_metrics(vehicle).items():
+        if key in COLUMNS:
+            kind = metric_classes()[key]
+            columns[key] = tuple(one.name for one in metrics)
+            columns |= {f"{key}_{source}": (kind(source).name,) for source in kind.shown_apart(vehicle)}
+    return columns
 
 
 def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Standing:
     """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
-    largest = {key: max((one for one in some if one is not None), default=None) for key, some in values.items()}
+    largest = {
+        key: max((one for one in some if one is not None and math.isfinite(one)), default=None) for key, some in values.items()
+    }
     return Standing(controller, largest)
 
 
-LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
-MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
-
-
-def over_runs(metric: Metric, values: Array) -> float:
-    """Returns a metric over all runs: the largest of peaks, the mean of shares and work, the root mean square of all else."""
-    if metric.what in LARGEST_OF:
-        return float(values.max())
-    return float(values.mean()) if metric.what in MEAN_OF else float(np.sqrt(np.mean(values**2)))
-
-
-def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array]) -> Standing:
+def standing_over_runs(
+    vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None
+) -> Standing:
     """Returns a controller's row over several runs; each metric is an array with a number for every run.
 
-    Numbers are those of `over_runs`. All are None if a run has no metrics.
+    Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
-    over = {one.name: over_runs(one, metrics[one.name]) for one in metrics_of(vehicle) if one.name in names}
-    return standing(vehicle, controller, over if all(map(math.isfinite, over.values())) else {})
+    over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}
+    return standing(vehicle, controller, over)
 
 
 def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
@@ -159,12 +143,12 @@ def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
 
 def headline(standings: Sequence[Standing]) -> str:
     """Returns in a line who is best at ride and at road holding."""
-    rides, holds = (best(standings)[one.key] for one in (RIDE, LOAD))
-    if rides and rides == holds:
-        end = "s" * (len(rides) == 1)
-        return f"{some_names(rides)} ride{end} and hold{end} the road best"
-    said = (("ride", "best", rides), ("hold", "the road best", holds))
-    texts = [f"{some_names(names)} {verb}{'s' * (len(names) == 1)} {how}" for verb, how, names in said if names]
+    marked = best(standings)
+    praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
+    said: dict[tuple[str, ...], list[str]] = {}
+    for (verb, what), names in praised:
+        said.setdefault(tuple(names), []).append(f"{verb}{'s' * (len(names) == 1)}{what}")
+    texts = [f"{some_names(names)} {' and '.join(verbs)} best" for names, verbs in said.items()]
     return ", ".join(texts) or "All controllers have the same values"
 
 
@@ -179,7 +163,7 @@ def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
         {"controller": one.controller}
         | {key: text for key, text in (("vehicle", one.vehicle), ("without", one.without)) if text}
         | json_object(FIELDS, one)
-        | {key: value for key, value in one.values.items() if key.startswith(AT_POINT)}
+        | {key: value for key, value in one.values.items() if key not in COLUMNS}
         | ({"strokes": {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}} if one.strokes else {})
         for one in standings
     ]
@@ -198,14 +182,16 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     columns = [Field[Standing]("vehicle", lambda one: one.vehicle)] if several else []
     columns.append(Field("controller", lambda one: one.name))
     there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
-    travel, strokes = _travel(standings)
-    rides = _rides(standings)
+    strokes = ""
     for quantity in there:
-        shown = travel if quantity is TRAVEL else rides[:1] if quantity is RIDE else [quantity]
+        first, *others = _at_points(quantity, standings)
+        shown = [first]
+        if COLUMNS[quantity.key].by_side:
+            shown, strokes = _travel(quantity, standings)
         columns += [_marked(one, marked[quantity.key]) for one in shown]
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
-        columns += rides[1:] if quantity is RIDE else []
+        columns += others
     unsound = ", ".join(one.label for one in standings if not one.sound)
     star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
@@ -239,31 +225,33 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
     return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
 
 
-def _rides(standings: Sequence[Standing]) -> list[Field[Standing]]:
-    """Returns the columns of ride: that of the vehicle, then of other points of vehicles with a person.
+def _at_points(quantity: Field[Standing], standings: Sequence[Standing]) -> list[Field[Standing]]:
+    """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
 
-    Of more than `MOST_POINTS` other points it is the largest ride.
+    Of more than `MOST_POINTS` other points it is the largest value.
     """
-    points = dict.fromkeys(key for one in standings for key in one.values if key.startswith(AT_POINT))
-    same = [key for key in points if all(one.values.get(key) == RIDE.value(one) for one in standings)]
-    labels = {key: f"ride, {key.removeprefix(AT_POINT).replace('_acceleration', '').replace('_', ' ')}" for key in points}
-    first = replace(RIDE, label=labels[same[0]] if same else RIDE.label)
+    begin = f"{quantity.key}_"
+    points = dict.fromkeys(key for one in standings for key in one.values if key not in COLUMNS and key.startswith(begin))
+    same = [key for key in points if all(one.values.get(key) == quantity.value(one) for one in standings)]
+    names = {key: key.removeprefix(begin).replace("_acceleration", "").replace("_", " ") for key in points}
+    labels = {key: f"{quantity.label}, {name}" for key, name in names.items()}
+    first = replace(quantity, label=labels[same[0]] if same else quantity.label)
     others = [key for key in points if key not in same]
     if len(others) <= MOST_POINTS:
-        return [first, *(_of(key, labels[key], RIDE.unit) for key in others)]
-    largest = Field[Standing]("ride, body", lambda one: max(one.values.get(key) or 0.0 for key in others) or None, digits)
-    return [first, replace(largest, unit=RIDE.unit)]
+        return [first, *(_of(key, labels[key], quantity.unit, quantity.scale) for key in others)]
+    label = f"{quantity.label}, body"
+    return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
 
 
-def _travel(standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
+def _travel(quantity: Field[Standing], standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
     """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
 
     A side is in mm if all runs have the same strokes, else in per cent of its stroke.
     """
-    whole = [one for one in standings if TRAVEL.value(one) is not None]
+    whole = [one for one in standings if quantity.value(one) is not None]
     sides = [side for side in SIDES if any(side in one.strokes for one in whole)]
     if not all(one.strokes for one in whole) or not sides:
-        return [TRAVEL], ""
+        return [quantity], ""
     strokes = {side: {one.strokes[side][1] if side in one.strokes else None for one in whole} for side in sides}
     alike = all(len(some) == 1 for some in strokes.values())
     of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())

@@ -1,0 +1,392 @@
+"""Metrics of ride, travel, road holding, effort and angles, with a base for the metrics of each group of signals.
+
+Ride is that of vertical accelerations of the body, also weighted by W_k of ISO 2631-1 to a_w. The work of an actuator in a step
+is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel s changes. For a lagging force, which changes too, the
+mean of u[k] and u[k+1] counts.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.signals import CONTROL_FORCE, TYRE_DEFLECTION, Signal
+from models.vehicle.vehicle import Vehicle
+from sim.studies.ride.metrics import (
+    DEGREES,
+    LARGEST,
+    MEAN,
+    PITCH,
+    ROLL,
+    ROOT_MEAN_SQUARE,
+    RUNNING,
+    Column,
+    Expectation,
+    Meter,
+    Metric,
+    Totals,
+    angles_of,
+    squares,
+)
+
+if TYPE_CHECKING:
+    from sim.studies.ride.gaussian import RandomSignals
+
+
+class RootMeanSquare(Metric):
+    """Root mean square of a signal."""
+
+    what, over_runs, approximate = "rms", ROOT_MEAN_SQUARE, False
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.add(squares(meter[self.source]))
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return np.sqrt(totals.sum / meter.samples)
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.rms(random.signal(self.source), offset=random.offset(self.source))
+
+
+class Share(Metric):
+    """Share of time of what is added as counts."""
+
+    unit, over_runs, approximate = "-", MEAN, False
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.sum / meter.samples
+
+
+class Largest(Metric):
+    """Largest magnitude of a signal."""
+
+    what, over_runs = "peak", LARGEST
+    accuracy = "peaks are up to 23 % too high"
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.keep(meter[self.source])
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.largest
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        signal = random.signal(self.source)
+        return signal.largest(random.window) * signal.sigma + abs(random.offset(self.source)), None
+
+
+class Angle(Metric):
+    """A number of an angle of the body under loads."""
+
+    unit, of, over_runs, loaded, approximate = "deg", "angles", LARGEST, True, False
+    angles: tuple[str, ...] = (PITCH, ROLL)
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return [name for name in angles_of(vehicle) if name in cls.angles]
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.largest
+
+
+class Dive(Angle):
+    """Largest pitch angle, nose down."""
+
+    what, angles = "dive", (PITCH,)
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.keep_largest(DEGREES * np.maximum(meter.angle(self.source).max(axis=1), 0.0))
+
+
+class Squat(Angle):
+    """Largest pitch angle, nose up."""
+
+    what, angles = "squat", (PITCH,)
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.keep_largest(DEGREES * np.maximum(-meter.angle(self.source).min(axis=1), 0.0))
+
+
+class Roll(Angle):
+    """Largest roll angle to either side."""
+
+    what, angles, approximate = "peak", (ROLL,), True
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        angle = meter.angle(self.source)
+        totals.keep_largest(DEGREES * np.maximum(angle.max(axis=1), -angle.min(axis=1)))
+
+
+class FinalAngle(Angle):
+    """Angle at the end of the window, with its sign."""
+
+    what, over_runs = "at_end", ROOT_MEAN_SQUARE
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.largest = DEGREES * meter.angle(self.source)[:, -1]
+
+
+class Acceleration(Metric):
+    """A number of a vertical acceleration of the body. Those of points with a person come first, and alone count for it."""
+
+    unit, of, over_runs = "m/s2", "accelerations", LARGEST
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return vehicle.ride_points.all
+
+    @classmethod
+    def compared(cls, vehicle: Vehicle) -> Sequence[str]:
+        return vehicle.ride_points.worst_of
+
+
+class RmsAcceleration(RootMeanSquare, Acceleration):
+    """Root mean square of the acceleration; of both sides of jumps: of their mean, and of half their difference."""
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.add(squares(meter.midway[self.source]))
+        if self.source in meter.both_sides:
+            totals.add(squares(meter.both_sides[self.source] / 2))
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.rms(random.signal(self.source))
+
+
+class Weighted(RootMeanSquare, Acceleration):
+    """Weighted rms (6.1): root mean square of a_w."""
+
+    what, headline = "weighted", "ride"
+    column = Column("ride", "m/s²", change="ride", praise=("ride", ""), bars="Acceleration of the body")
+
+    @classmethod
+    def shown_apart(cls, vehicle: Vehicle) -> Sequence[str]:
+        return vehicle.ride_points.all if vehicle.ride_points.people else ()
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        return None
+
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        totals.add(squares(weighted))
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.rms(random.weighted(self.source))
+
+
+class VibrationDose(Acceleration):
+    """Vibration dose value, VDV (6.3.2): (integral of a_w^4 over time)^(1/4)."""
+
+    what, unit = "vdv", "m/s1.75"
+    expectation, accuracy = "for a VDV: the fourth root of its expected fourth power", "vdv is up to 8 % too high"
+
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        totals.add(squares(weighted * weighted))
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return (totals.sum / meter.samples * meter.duration) ** 0.25
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return (random.window * random.weighted(self.source).mean_fourth_power) ** 0.25, None
+
+
+class TransientVibration(Acceleration):
+    """Maximum transient vibration value, MTVV (6.3.1): largest running rms of a_w, averaged exponentially over 1 s."""
+
+    what, accuracy = "mtvv", "mtvv is up to 9 % too high"
+
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        totals.keep(running)
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return np.sqrt(totals.largest)
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.weighted(self.source).largest_running(random.window, RUNNING), None
+
+
+class Crest(Acceleration):
+    """Crest factor (6.2): largest |a_w| over its root mean square; 0 for a body at rest."""
+
+    what, unit, accuracy = "crest", "-", "crest is from 7 % too low to 14 % too high"
+
+    def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
+        totals.add(squares(weighted))
+        totals.keep(weighted)
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        rms = np.sqrt(totals.sum / meter.samples)
+        still = rms == 0
+        return np.where(still, 0.0, totals.largest / np.where(still, 1.0, rms))
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.weighted(self.source).largest(random.window), None
+
+
+class Travel(Metric):
+    """A number of the deflection of a suspension."""
+
+    unit, of = "m", "suspensions"
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return [one.deflection for one in vehicle.kind.suspensions]
+
+
+class RmsTravel(RootMeanSquare, Travel):
+    """Root mean square of the travel."""
+
+    headline = "travel"
+
+
+class PeakTravel(Largest, Travel):
+    """Largest travel, in bump or in rebound."""
+
+    column = Column("peak travel", "mm", 1e3, change="travel", bars="Travel of the suspension", by_side=True)
+
+
+class AtStops(Share, Travel):
+    """Share of time at the bump stops."""
+
+    what = "at_stops"
+    column = Column("at stops", "%", 100.0)
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return [name for name in super().sources(vehicle) if name in vehicle.parts.strokes]
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        deflection, (bump, rebound) = meter[self.source], meter.strokes[self.source]
+        totals.add(np.count_nonzero((deflection <= -bump) | (deflection >= rebound), axis=1))
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        signal, offset, (bump, rebound) = random.signal(self.source), random.offset(self.source), random.strokes[self.source]
+        return signal.beyond(bump + offset) + signal.beyond(rebound - offset), None
+
+
+class TyreLoad(Metric):
+    """A number of the load F = k_u (static - t) of a tyre that is extended by t; F is never negative."""
+
+    unit, of = "-", "tyres"
+
+    @property
+    def name(self) -> str:
+        return _named_after(self.source, TYRE_DEFLECTION, self.what)
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return [wheel.tyre_deflection for wheel in vehicle.kind.wheels]
+
+
+class DynamicLoad(RootMeanSquare, TyreLoad):
+    """Dynamic load coefficient: rms(F - F_static) / F_static; with loads on the body, the standard deviation of F instead."""
+
+    what, headline = "dynamic_load", "load"
+    column = Column("dynamic load [-]", change="tyre load", praise=("hold", " the road"), bars="Dynamic tyre load")
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        carried = np.minimum(*meter.tyre(self.source))
+        totals.add(squares(carried))
+        totals.shift = totals.shift + carried.sum(axis=1)
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        shift = np.where(meter.pushed, totals.shift / meter.samples, 0.0)
+        return np.sqrt(np.maximum(totals.sum / meter.samples - shift * shift, 0.0)) / meter.static[self.source]
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        static = random.static[self.source]
+        return random.rms(random.signal(self.source), static, 1 / static)
+
+
+class OffGround(Share, TyreLoad):
+    """Share of time off the ground."""
+
+    what = "off_ground"
+    column = Column("off the ground", "%", 100.0)
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.add(np.count_nonzero(np.greater_equal(*meter.tyre(self.source)), axis=1))
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.signal(self.source).beyond(random.static[self.source]), None
+
+
+class Force(Metric):
+    """A number of the force of an actuator, of both sides of jumps."""
+
+    unit, of, effort = "N", "actuators", True
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return vehicle.linear_model.inputs
+
+
+class RmsForce(RootMeanSquare, Force):
+    """Root mean square of the force."""
+
+    headline = "force"
+    column = Column("force, rms", "N")
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        super().update(meter, totals)
+        if self.source in meter.both_sides:
+            force = meter[self.source]
+            totals.add((squares(force - meter.both_sides[self.source]) - squares(force)) / 2)
+
+
+class PeakForce(Largest, Force):
+    """Largest force."""
+
+    column = Column("force, peak", "N", bars="Largest force")
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        super().update(meter, totals)
+        if self.source in meter.both_sides:
+            totals.keep(meter[self.source] - meter.both_sides[self.source])
+
+
+class Work(Force):
+    """A number of the work of an actuator that acts in a suspension."""
+
+    over_runs, approximate = MEAN, False
+
+    @property
+    def name(self) -> str:
+        return _named_after(self.source, CONTROL_FORCE, f"control_{self.what}")
+
+    @classmethod
+    def sources(cls, vehicle: Vehicle) -> Sequence[str]:
+        return [force for force in super().sources(vehicle) if vehicle.kind.pushed(force)]
+
+
+class ControlPower(Work):
+    """Mean power into the suspension."""
+
+    what, unit = "power", "W"
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.add(meter.work(self.source).sum(axis=1))
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.sum / (max(meter.samples - 1, 1) * meter.timestep)  # from the first sample to the last
+
+    def expected(self, random: "RandomSignals") -> Expectation:
+        return random.works[self.source][0] / random.timestep, None
+
+
+class ControlEnergy(Work):
+    """Energy put in, without recovery of what is taken out."""
+
+    what, unit = "energy", "J"
+
+    def update(self, meter: Meter, totals: Totals) -> None:
+        totals.add(np.maximum(meter.work(self.source), 0.0).sum(axis=1))
+
+    def result(self, totals: Totals, meter: Meter) -> Array:
+        return totals.sum
+
+    def expected(self, random: "RandomSignals") -> Expectation:  # n samples are n - 1 steps
+        return random.works[self.source][1] / random.timestep * (random.window - random.timestep), None
+
+
+def _named_after(signal: str, common: Signal, metric: str) -> str:
+    """Returns a signal's name with the metric instead of the common prefix, or behind the name if it lacks that prefix."""
+    return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
