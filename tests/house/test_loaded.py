@@ -21,10 +21,10 @@ HEAVY = {
 # `sim.observers.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel of `rigid_body`.
 LOADED = {
     "synth --json": (112, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
-    "sim.bump --controller I --duration 0.5 --logs DIR": (150, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
-    "sim.bump --controller I --no-logs --json": (141, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (143, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (166, {"mujoco", "scipy.special"}),
+    "sim.bump --controller I --duration 0.5 --logs DIR": (156, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
+    "sim.bump --controller I --no-logs --json": (144, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (146, {"mujoco"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (173, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --timestep 4e-3 --json": (
         137,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
