@@ -620,7 +620,8 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
 
 def followed(part: Part, d, v, h: float, u: np.ndarray | float = 0.0):
     """The states of a part from rest along a path, shape (T, ..., n), by steps of RK4 over two samples, and Hermite's cubics."""
-    z = np.zeros((len(d), *np.shape(u), len(part.states)))
+    z, (d, v) = np.zeros((len(d), *np.shape(u), len(part.states))), part.own_motion(d, v)
+    part = part.part if isinstance(part, AtRatio) else part
     for k in range(0, len(d) - 2, 2 if part.states else len(d)):
         at = [partial(part.rate, d[k + i], v[k + i], u=u) for i in range(3)]
         first = at[0](z[k])
