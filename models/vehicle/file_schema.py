@@ -16,7 +16,7 @@ from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import ROAD, WEIGHT, WeightSection
-from models.vehicle.vehicle import PLANES, VehicleFile, kind
+from models.vehicle.vehicle import LIFTED, PLANES, VehicleFile, kind
 
 TABLE = {"type": "object"}
 WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
@@ -51,12 +51,15 @@ def file_schema(name: str) -> dict[str, Any]:
         if getattr(part, of) and (schemas := [json_schema(one) for one in sections])
     }
     needed = [one.name for one in plain.parameters if one.usual is None and not one.optional and one.name not in curves]
+    lifted = described(NUMBER, "height by which the whole vehicle is lifted above the road at the start of a run", "m")
+    states = {each: described(NUMBER, f"{one.meaning}, at the start of a run", one.unit) for each, one in known.possible.items()}
     sections = {
         "parameters": TABLE | {"properties": parameters, "required": needed, "additionalProperties": False},
         "performance": TABLE | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
         "seat": seat,
+        "start": TABLE | {"properties": states | {LIFTED: lifted}, "additionalProperties": NUMBER},
         "payload": TABLE | {"anyOf": [payload, {"additionalProperties": payload}]},
         "actuators": _with_places(ActuatorSection, ActuatorSection, filter(None, corners)),
         "curves": TABLE | {"properties": curves, "additionalProperties": False},

@@ -7,10 +7,10 @@ of digits, such as `:g` for a number from a file.
 """
 
 import sys
-from collections import defaultdict
+from collections.abc import Iterator, Mapping
 
 from tests.house import prose
-from tests.support.sources import sources
+from tests.support.sources import Source, sources
 
 EXEMPT = ("models/document/", "models/common/printed.py", "synth/controller/export/")
 MOST = {  # formats in a folder: lower these, never raise them
@@ -29,14 +29,16 @@ MOST = {  # formats in a folder: lower these, never raise them
 }
 
 
-def findings() -> dict[str, list[str]]:
+def own_formats(code: Mapping[str, Source]) -> Iterator[prose.Finding]:
+    """Yields a finding for each format with digits of its own."""
+    for file, source in code.items():
+        for each in () if file.startswith(EXEMPT) else source.formats:
+            yield prose.Finding(file, "digits of a number", "use a format of models/common/printed.py, or a Field", each)
+
+
+def findings() -> dict[str, list[prose.Finding]]:
     """Returns the formats in each folder."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for file, source in sources().items():
-        if source.formats and not file.startswith(EXEMPT):
-            folder = "/".join(file.split("/")[:2]).removesuffix(".py")
-            found[folder] += [f"{file}: {each}" for each in source.formats]
-    return found
+    return prose.by_folder(own_formats(sources()), depth=2)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,13 @@
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from tests.support.commands import ROOT
 from tests.support.pages import PAGES
-from tests.support.sources import sources
+from tests.support.sources import Source, sources
 
 MOST = {  # findings in a folder: lower these, never raise them
     "docs": 3,
@@ -46,6 +46,8 @@ PATTERNS = {  # name: pattern in a sentence, and what to write instead
     "wall of text": (r"^(?:\S+\s+){80}", "split it, or use a list"),
 }
 ONLY = {"first words": "first", "entry without noun": "entry", "wall of text": "page"}  # patterns for one kind of sentence
+LONG, LONGEST = 25, 35  # words of a sentence: few have more than the first, none of a page more than the second
+CODE = re.compile(r"`[^`]*`")  # code counts as one word
 ENTRY = r"[\w*]+(?:, [\w*]+)*: "
 NO_PROSE = rf"(?s:^```.*?^```|^\$\$.*?^\$\$)|^[ \t]*(?:Example|Args|Attributes|Returns|Raises):$|^ {{4,}}(?!{ENTRY}).*=.*$"
 
@@ -58,6 +60,20 @@ class Sentence(NamedTuple):
     text: str
 
 
+class Finding(NamedTuple):
+    """What is wrong in a file, what to do, and the words that are wrong or their line (0: unknown)."""
+
+    file: str
+    what: str
+    do: str
+    text: str = ""
+    line: int = 0
+
+    def __str__(self) -> str:
+        where = f"{self.file}:{self.line}" if self.line else self.file
+        return f"{where}: {self.what}{f': {self.text[:160]}' if self.text else ''}; {self.do}"
+
+
 def blocks(text: str) -> Iterator[list[str]]:
     """Yields the sentences of each paragraph, list item, table cell and entry."""
     for block in re.split(rf"\n\s*\n|\n\s*(?=[-*|#>]|\d+\. |{ENTRY})|\|", re.sub(NO_PROSE, "\n\n", text, flags=re.MULTILINE)):
@@ -65,9 +81,14 @@ def blocks(text: str) -> Iterator[list[str]]:
             yield re.split(r"(?<=[.!?])\s+(?=[A-Z(\"*\[`])", plain)
 
 
-def of_code() -> Iterator[Sentence]:
+def words(sentence: str) -> int:
+    """Returns the number of words of a sentence, without the symbols and numbers of a formula."""
+    return sum(bool(re.search(r"[a-zA-Z]{2}", word)) for word in CODE.sub("code", sentence).split())
+
+
+def of_code(code: Mapping[str, Source]) -> Iterator[Sentence]:
     """Yields the sentences of docstrings, and of texts of the code."""
-    for file, source in sources().items():
+    for file, source in code.items():
         for text in source.docstrings:
             for i, block in enumerate(blocks(text)):
                 kind = "entry" if re.match(ENTRY, block[0]) else "docstring" if i else "first"
@@ -76,25 +97,40 @@ def of_code() -> Iterator[Sentence]:
             yield from (Sentence(file, "text", one) for block in blocks(text) for one in block)
 
 
-def of_pages() -> Iterator[Sentence]:
+def of_pages(texts: Mapping[str, str]) -> Iterator[Sentence]:
     """Yields the sentences of pages."""
-    for page in PAGES:
-        text = (ROOT / page).read_text(encoding="utf-8")
+    for page, text in texts.items():
         yield from (Sentence(page, "page", one) for block in blocks(text) for one in block)
 
 
-def findings() -> dict[str, list[str]]:
-    """Returns the findings in each folder, in words; pages count as docs."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for file, kind, text in (*of_code(), *of_pages()):
+def pages() -> dict[str, str]:
+    """Returns the texts of all pages."""
+    return {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
+
+
+def read_twice(sentences: Iterable[Sentence]) -> Iterator[Finding]:
+    """Yields a finding for each pattern in each sentence."""
+    for file, kind, text in sentences:
         for name, (pattern, instead) in PATTERNS.items():
             if ONLY.get(name, kind) == kind and re.search(pattern, text):
-                folder = "docs" if kind == "page" else file.partition("/")[0]
-                found[folder].append(f"{file}: {name} ({instead}): {text[:160]}")
+                yield Finding(file, name, f"write instead: {instead}", text)
+
+
+def by_folder(findings: Iterable[Finding], depth: int = 1) -> dict[str, list[Finding]]:
+    """Returns the findings in each folder; pages count as docs."""
+    found: dict[str, list[Finding]] = defaultdict(list)
+    for one in findings:
+        folder = "docs" if one.file.endswith(".md") else "/".join(one.file.split("/")[:depth]).removesuffix(".py")
+        found[folder].append(one)
     return found
 
 
-def report(file: str, most: dict[str, int], found: dict[str, list[str]]) -> int:
+def findings() -> dict[str, list[Finding]]:
+    """Returns the findings in each folder."""
+    return by_folder(read_twice((*of_code(sources()), *of_pages(pages()))))
+
+
+def report(file: str, most: dict[str, int], found: dict[str, list[Finding]]) -> int:
     """Prints findings, and lowers the ceilings `MOST` of a file if asked to; returns 1 if a folder is above its ceiling."""
     path = Path(file)
     if "--lower" in sys.argv:
@@ -107,9 +143,9 @@ def report(file: str, most: dict[str, int], found: dict[str, list[str]]) -> int:
     return int(bool(above(most, found)))
 
 
-def above(most: dict[str, int], found: dict[str, list[str]]) -> list[str]:
+def above(most: dict[str, int], found: dict[str, list[Finding]]) -> list[str]:
     """Returns the findings in folders that are above their ceilings."""
-    return [one for folder, some in found.items() if len(some) > most.get(folder, 0) for one in some]
+    return [str(one) for folder, some in found.items() if len(some) > most.get(folder, 0) for one in some]
 
 
 if __name__ == "__main__":

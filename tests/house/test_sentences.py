@@ -1,21 +1,14 @@
 """Prose is read once: no patterns that are read twice (`tests/house/prose.py`), short sentences, and formats in one place."""
 
-import re
 from collections import defaultdict
 
 import pytest
 
 from tests.house import formats, prose
+from tests.house.prose import LONG, LONGEST, words
 from tests.support.sources import sources
 
-LONG, LONGEST = 25, 35  # words of a sentence: few have more than the first, none of a page more than the second
 MOST_LONG = 0.025  # of all sentences; most that remain contain a formula or a source
-CODE = re.compile(r"`[^`]*`")  # code counts as one word
-
-
-def words(sentence: str) -> int:
-    """Returns the number of words of a sentence, without the symbols and numbers of a formula."""
-    return sum(bool(re.search(r"[a-zA-Z]{2}", word)) for word in CODE.sub("code", sentence).split())
 
 
 @pytest.mark.parametrize("of", [prose, formats])
@@ -27,8 +20,8 @@ def test_ceilings(of):
 
 def test_sentences_are_short():
     """Few sentences of docstrings and pages have more than 25 words, and none of a page more than 35."""
-    of_code = [one.text for one in prose.of_code() if one.kind != "text"]
-    of_pages = [one.text for one in prose.of_pages()]
+    of_code = [one.text for one in prose.of_code(sources()) if one.kind != "text"]
+    of_pages = [one.text for one in prose.of_pages(prose.pages())]
     assert [each for each in of_pages if words(each) > LONGEST] == []
     for some in (of_code, of_pages):
         long = [each for each in some if words(each) > LONG]

@@ -334,8 +334,8 @@ def test_controllers_run_over_travel(command, tmp_path, capsys):
     """With `all`, commands run every controller of a car whose ratio changes with travel."""
     file = tmp_path / "car.toml"
     file.write_text(over_travel("quarter_car", "curves").text)
-    options = ["--vehicle", str(file), *(["--no-logs", "--duration", "0.2"] if command == "sim.bump" else [])]
-    assert main_of(command)([*options, "--controller", "all"]) == 0
+    less = ["--no-logs", "--duration", "0.2"] if command == "sim.bump" else ["--timestep", "0.004"]
+    assert main_of(command)(["--vehicle", str(file), "--controller", "all", *less]) == 0
     printed = capsys.readouterr()
     assert "left out" not in printed.err
     assert all(name in printed.out for name in ("passive", "state", "held"))

@@ -277,9 +277,10 @@ def integrated(on: RoadInput, force, knots, u, commands, lag, inertance=lambda d
         held = to + (begin - to) * np.exp(-lag[0] * since)
         d, v, z = x[0] - x[1], x[2] - x[3], x[4:]
         f, b, t = float(force(d, v, held, z)), float(inertance(d)), x[1] - road
-        masses = np.diag([p["sprung_mass"], p["unsprung_mass"]]) + b * np.array([[1, -1], [-1, 1]])
-        rates = np.linalg.solve(masses, [-f, f - p["tyre_stiffness"] * min(t, static)])
-        return [x[2], x[3], *rates, *force.rates(d, v, z, held)]
+        body, wheel, on_wheel = p["sprung_mass"], p["unsprung_mass"], f - p["tyre_stiffness"] * min(t, static)
+        both = body * wheel + b * (body + wheel)  # determinant of the mass matrix
+        of_body, of_wheel = ((wheel + b) * -f + b * on_wheel) / both, (b * -f + (body + b) * on_wheel) / both
+        return [x[2], x[3], of_body, of_wheel, *force.rates(d, v, z, held)]
 
     events = [lambda _, x: x[1] - road - static]
     events += [lambda _, x, knot=knot: float(knot(x[0] - x[1], x[2] - x[3])) for knot in knots]

@@ -39,6 +39,8 @@ LIGHTER = {
     "sim.drive --controller I": "--no-logs",
     "sim.drive --controller passive": "--duration 1 --no-logs",  # a shorter stretch of the same road
     "sim.drive --vehicle full_car": "--duration 0.5",
+    "sim.drive --vehicle half_car_roll": "--duration 0.5 --no-logs",
+    "sim.bump --vehicle mr_car.toml": "--no-logs",
     "sim.margins --controller I --vehicle half_car": "--timestep 0.002",  # fewer steps of the same bisections
     "sim.sweep --controller I": "--timestep 0.004",
     "sim.sweep --vehicle half_car": "--timestep 0.004",

@@ -4,7 +4,7 @@ import ast
 import functools
 import gc
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,11 +46,15 @@ def sources() -> Mapping[str, Source]:
 
 
 def _read() -> dict[str, Source]:
-    paths = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+    return read(sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py")))
+
+
+def read(paths: Iterable[Path], root: Path = ROOT) -> dict[str, Source]:
+    """Returns the sources of some files, by their paths from a root."""
     collecting = gc.isenabled()
     gc.disable()  # nodes are many, and have no circles
     try:
-        return {path.relative_to(ROOT).as_posix(): _source(path) for path in paths}
+        return {path.relative_to(root).as_posix(): _source(path) for path in paths}
     finally:
         if collecting:
             gc.enable()
