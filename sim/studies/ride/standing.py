@@ -228,7 +228,7 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
 def _at_points(quantity: Field[Standing], standings: Sequence[Standing]) -> list[Field[Standing]]:
     """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
 
-    Of more than `MOST_POINTS` other points it is the largest value.
+    If there are more than `MOST_POINTS` other points, their column has the largest value.
     """
     begin = f"{quantity.key}_"
     points = dict.fromkeys(key for one in standings for key in one.values if key not in COLUMNS and key.startswith(begin))
