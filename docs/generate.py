@@ -38,7 +38,7 @@ from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
 from models.laws.goals import BOUNDS, Minimise
 from models.laws.law_structure import PidSection
-from models.parts.element import Place, element_kinds
+from models.parts.element import PartSite, element_kinds
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
@@ -231,7 +231,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         ("height", "m", "height by which the whole vehicle is lifted above the road at the start of a run"),
         ("suspension_deflection", "m", "this state of the linear model at the start of a run; so for its other states"),
     ]
-    sections["[parts.NAME]"] = section_keys(Place)
+    sections["[parts.NAME]"] = section_keys(PartSite)
     sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)

@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.text import text_lines
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.command.comparison import log_lines, recorded, warn_invalid_certificates
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
     from sim.studies.validity.map_runs import loaded
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     given = remarked(read_vehicle(options.vehicle))
     name = one_chosen(given.controller_names, options.controller)
-    vehicle = given.driven_by(name)
+    vehicle = given.with_actuators_of(name)
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("design", "map", "picture and logs")
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
-    say_false_claims([controller])
+    warn_invalid_certificates([controller])
     progress = stage.counted("map", len(bumps), "cells")
     cells = validity(vehicle, controller, bumps, time, progress, loads, options.every_cell, options.threshold)
     stage("picture and logs")

@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.text import text_lines
     from models.vehicle.limits_and_implementation import Implementation
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import log_lines, recorded, say_false_claims
+    from sim.command.comparison import log_lines, recorded, warn_invalid_certificates
     from sim.linear.nonlinear_elements import at_rest
     from sim.runs.run import sample_times
     from sim.studies.stability.margin_search import LONGEST
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     given = remarked(read_vehicle(options.vehicle))
     name = one_chosen(given.controller_names, options.controller)
-    as_built = given.driven_by(name)
+    as_built = given.with_actuators_of(name)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controller = Designer(as_built, search=False).design(name)
     with_computer = replace(vehicle, implementation=as_built.implementation)
     _check_loop(vehicle, with_computer, controller, options.timestep)
-    say_false_claims([controller])
+    warn_invalid_certificates([controller])
     (found,) = stability_margins(as_built, [controller], options.timestep, stage)
     stage("picture and logs")
     if options.picture is not None:

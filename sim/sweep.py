@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from models.document.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, say_false_claims
+    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, warn_invalid_certificates
     from sim.studies.frequency.describing_function import describing_function
     from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, sweep, sweep_object
     from synth.vehicle.designer import Designer
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = remarked(read_vehicle(options.vehicle))
     usual = [name for name in USUAL if name in given.controller_names]
     names = chosen(given.controller_names, options.controller, usual)
-    vehicle = given.for_all(names)
+    vehicle = given.with_common_actuators(names)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controllers = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep), options.exported)
     driven = [one.name for one in controllers]
     how = options.amplitude, options.timestep, options.speed
-    say_false_claims(controllers)
+    warn_invalid_certificates(controllers)
     linear = [one for one in controllers if one.linear is True]
     swept = sweep(vehicle, linear, *how, stage) if linear else []
     stage(OWN)

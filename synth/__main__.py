@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return front(vehicle, options)
     names = [] if options.check else _names(vehicle, options)
     with suppress(InputError):  # some drive dampers, others actuators that push: of the file, then
-        vehicle = vehicle.for_all(names)
+        vehicle = vehicle.with_common_actuators(names)
     if options.rates:
         from synth.command.sample_rate import answer as rates
 

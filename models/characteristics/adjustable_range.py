@@ -39,7 +39,7 @@ TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class Envelope:
     """Curves of an adjustable damper.
 
     Attributes:
@@ -85,7 +85,7 @@ class Pair:
         """True if neither curve bends."""
         return not len(self.soft.pieces.slope) and not len(self.hard.pieces.slope)
 
-    def same(self, other: "Pair | None") -> bool:
+    def same(self, other: "Envelope | None") -> bool:
         """Returns True if another pair has the same curves."""
         if other is None:
             return False
@@ -93,13 +93,13 @@ class Pair:
         return all(np.array_equal(a.x, b.x) and np.array_equal(a.force, b.force) for a, b in pairs)
 
 
-def pair_of(soft: ForceCurve, hard: ForceCurve) -> Pair:
+def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     """Returns two curves as limits.
 
     Raises:
         InputError: the firmer one is not above the softer one at every velocity.
     """
-    pair = Pair(soft, hard)
+    pair = Envelope(soft, hard)
     x, largest = pair.knots, max(soft.range, hard.range)
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING * largest))[:1].tolist():
@@ -142,7 +142,7 @@ class Damper:
     c_min: float
     c_max: float
     bandwidth: float | None = None
-    pair: Pair | None = None
+    pair: Envelope | None = None
 
     def among(self, elements: Sequence[Any]) -> "Damper":
         """Returns the damper of a vehicle with other elements."""

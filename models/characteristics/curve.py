@@ -173,7 +173,7 @@ class ForceCurve:
         return float(np.abs(self.force).max())
 
     @cached_property
-    def left_at(self) -> tuple[float, float]:
+    def departures_at(self) -> tuple[float, float]:
         """Arguments below and above rest at which it first differs from its line by `LEAVES` of its range; infinite if never."""
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):

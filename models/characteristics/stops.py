@@ -157,10 +157,10 @@ class Stop:
         return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
 
 
-Pair = tuple[Stop, Stop]  # of bump and rebound; the stroke of a side without a stop is infinite
+BumpAndRebound = tuple[Stop, Stop]  # of bump and rebound; the stroke of a side without a stop is infinite
 
 
-def pair_words(pair: Pair) -> str:
+def pair_words(pair: BumpAndRebound) -> str:
     """Describes both strokes and the type of the stops of a suspension."""
     bump, rebound = pair
     given = [(sign, side, stop) for sign, side, stop in zip((-1.0, 1.0), SIDES, pair, strict=True) if math.isfinite(stop.stroke)]
@@ -256,7 +256,7 @@ class StopSection(Section):
             object.__setattr__(self, STOP, None)
 
 
-def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> Pair:
+def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> BumpAndRebound:
     """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`.
 
     Raises:
@@ -346,16 +346,16 @@ def places_of(corners: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
 
 
-def stops_at(places: Mapping[str, StopSection], corner: str) -> Pair | None:
+def stops_at(places: Mapping[str, StopSection], corner: str) -> BumpAndRebound | None:
     """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
     stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
     pair = stops(stroke, stiffness or 0.0)
     return pair if any(math.isfinite(stop.stroke) for stop in pair) else None
 
 
-def stop_words(by_corner: Mapping[str, Pair | None]) -> list[str]:
+def stop_words(by_corner: Mapping[str, BumpAndRebound | None]) -> list[str]:
     """Describes stops by corner, with one phrase for all corners with equal stops."""
-    alike: dict[Pair, list[str]] = {}
+    alike: dict[BumpAndRebound, list[str]] = {}
     for corner, stops in by_corner.items():
         if stops is not None:
             alike.setdefault(stops, []).append(corner)

@@ -1,6 +1,6 @@
 """Checks of values by their annotations: a value that does not fit raises an `InputError` with the name of the argument.
 
-`models.common.lazy` wraps every public function in `at_the_door`; calls within the packages are not checked. Dataclasses are
+`models.common.lazy` wraps every public function in `validated`; calls within the packages are not checked. Dataclasses are
 `Checked`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: only type checkers resolve it.
 """
 
@@ -115,7 +115,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
-def at_the_door(function: F) -> F:
+def validated(function: F) -> F:
     """Returns a function that checks its arguments by their annotations before it is called.
 
     The function also warns of all remarks on the vehicle or the runs that it returns, each once.
@@ -257,5 +257,5 @@ def _words(annotation: Any) -> str:
         fixed = outer is tuple and inner[-1] is not ...
         every = f"a list in which each item is {_words(inner[0])}"
         return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else every
-    # A type that is not public has a class attribute `given_as`, which describes where its values come from.
+    # A type that is not public has a class attribute `public_name`, which describes where its values come from.
     return vars(outer).get("given_as", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")

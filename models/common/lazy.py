@@ -34,9 +34,9 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
         module = importlib.import_module(where[name])
         value = getattr(module, name, None) or importlib.import_module(f"{where[name]}.{name}")
         if isinstance(value, types.FunctionType):
-            from models.common.checks import at_the_door
+            from models.common.checks import validated
 
-            value = at_the_door(value)
+            value = validated(value)
         setattr(sys.modules[package], name, value)  # later accesses do not come here
         return value
 

@@ -447,7 +447,7 @@ class VehicleKind(Checked):
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
-            model = self.whole_model(parameters).of(names_of(self.signals))
+            model = self.full_model(parameters).of(names_of(self.signals))
             if len(kept) >= MOST_KEPT:
                 kept.clear()
             kept[key] = model
@@ -457,7 +457,7 @@ class VehicleKind(Checked):
     def _models(self) -> dict[tuple[tuple[str, float], ...], LinearModel]:
         return {}
 
-    def whole_model(self, parameters: Parameters) -> LinearModel:
+    def full_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals, its elements at their motion ratios.
 
         These are also the signals on demand, and the suspensions' velocities that it lacks.

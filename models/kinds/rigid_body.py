@@ -171,12 +171,12 @@ class RigidBody:
         return (0, *([1] if self.pitch_inertia is not None else []), *([2] if self.roll_inertia is not None else []))
 
     @property
-    def guided(self) -> bool:
+    def has_axis(self) -> bool:
         """True if links give it an axis, and guide its wheels."""
         return self.pitch_arm is not None or self.roll_arm is not None
 
     @property
-    def sways(self) -> Array:
+    def axis_offsets(self) -> Array:
         """Horizontal displacement of the centre of mass per mode [m/m, m/rad], shape (k,)."""
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0])[list(self.modes)]
 
@@ -203,12 +203,12 @@ class RigidBody:
     def inertia(self) -> Array:
         """M, shape (k, k)."""
         about_centre = np.array([self.mass, self.pitch_inertia or 0.0, self.roll_inertia or 0.0])[list(self.modes)]
-        return np.diag(about_centre + (self.mass + self.seat_mass) * self.sways**2)
+        return np.diag(about_centre + (self.mass + self.seat_mass) * self.axis_offsets**2)
 
     @property
     def weight(self) -> Array:
         """W, the moment of the weight per angle, shape (k, k)."""
-        return np.diag((self.mass + self.seat_mass) * GRAVITY * self.sways)
+        return np.diag((self.mass + self.seat_mass) * GRAVITY * self.axis_offsets)
 
     def static_loads(self) -> Array:
         """Returns the load of each suspension at rest [N], shape (c,): the least-squares loads that balance the weight."""
@@ -270,7 +270,7 @@ def linear_model(
         Bw = Bw + Bt
     Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
     Bl = np.vstack([np.zeros((c + p, k)), np.linalg.inv(M), np.zeros((c, k))])
-    if body.guided:
+    if body.has_axis:
         A[c + p : c + p + k] += over_ground @ (d + t)
         Br[c + p : c + p + k] += over_ground @ (np.eye(c) - N)
     if body.wheel_loads:
@@ -350,7 +350,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
 
 def check_stands(body: RigidBody) -> None:
     """Raises an InputError if springs, bars and tyres cannot hold the body against the moment of its own weight."""
-    if not body.guided:
+    if not body.has_axis:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
@@ -385,8 +385,8 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     # with those two can have, from their difference to their sum, would move the full car's pitch acceleration by 5e-4 of its
     # peak over a bump of 0.1 m under its left wheels, and less where it does less.
 
-    if body.guided:
-        for mode, arm in zip(body.modes[1:], body.sways[1:].tolist(), strict=True):
+    if body.has_axis:
+        for mode, arm in zip(body.modes[1:], body.axis_offsets[1:].tolist(), strict=True):
             spec.joint(LOADS[mode].joint).pos = [0.0, 0.0, -arm]
     squeezes = body.static_tyre_deflection().values()
     for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
@@ -396,8 +396,8 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
         spec.site(f"suspension_{corner.name}_top").pos[:2] = [corner.x, corner.y]
 
         name = f"suspension_{corner.name}"
-        suspension = _guided(spec, body, corner, name) if body.guided else spec.tendon(name)
-        length = 0.0 if body.guided else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
+        suspension = _guided(spec, body, corner, name) if body.has_axis else spec.tendon(name)
+        length = 0.0 if body.has_axis else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
         write_strut(spec, suspension, corner.suspension_stiffness, corner.suspension_damping, load, length)
         rest = unsprung.pos[2] - road.pos[2] + squeeze
         write_tyre(spec, f"tyre_{corner.name}", corner.tyre_stiffness, corner.tyre_damping, rest)

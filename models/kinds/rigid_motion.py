@@ -99,7 +99,7 @@ class RigidMotion:
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
             turned, shortest = np.abs(q[:, 1:]).max(axis=1, initial=0.0), STRUT + d.min(axis=1)
             upright = (turned < MOST_TURNED) & (up.min(axis=1) > LEAST_UPRIGHT)
-            return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1) | self.body.guided))
+            return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1) | self.body.has_axis))
 
     def read(self, state: Array, heights: Array) -> Array:
         q, hubs, rates, hub_rates = self.split(state)
@@ -240,7 +240,7 @@ class RigidMotion:
         if self.body.pitch_inertia is not None and self.body.roll_inertia is not None:
             slope = 2 * (self.yaw_inertia - self.body.pitch_inertia) * side * turned - 2 * mass * s * b * side
             moments = [moments[0] - slope * theta_dot * phi_dot, moments[1] + slope * theta_dot**2 / 2]
-        if not self.body.guided:
+        if not self.body.has_axis:
             turns = [moment / own for moment, own in zip(moments, inertias, strict=True)]
             return np.stack([lift / mass - GRAVITY, *turns], axis=-1)
         # What the rates' products leave in the heave's row: the change of both entries.
@@ -262,7 +262,7 @@ class RigidMotion:
         """Returns d and d', shape (T, c), J, shape (T, c, k), and e, shape (T, c)."""
         if q.shape[1] == 1:
             return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
-        if self.body.guided:
+        if self.body.has_axis:
             d, v = q @ self.shape.T - hubs, rates @ self.shape.T - hub_rates
             return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")

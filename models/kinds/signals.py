@@ -18,7 +18,7 @@ class Signal(Checked):
         meaning: description in one line, with the sign convention.
     """
 
-    given_as = "a signal, such as models.signals.CONTROL_FORCE"
+    public_name = "a signal, such as models.signals.CONTROL_FORCE"
 
     name: str
     symbol: str

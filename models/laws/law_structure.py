@@ -82,7 +82,7 @@ class DesignRequest(Demands, LawSource):
         sampled: True if it is for the sampled loop.
     """
 
-    given_as = "the design that a controller's section requests"
+    public_name = "the design that a controller's section requests"
     given = None
 
     design: str = ""

@@ -81,5 +81,5 @@ class Characteristic(Part):
 
 def departures(curve: ForceCurve, of: Quantity) -> Sequence[Limit]:
     """Returns the limits, below and above rest, at which a curve leaves its line."""
-    sides = zip((-1.0, 1.0), curve.left_at, strict=True)
+    sides = zip((-1.0, 1.0), curve.departures_at, strict=True)
     return [Limit(CURVE, of, sign, abs(far)) for sign, far in sides if abs(far) < np.inf]

@@ -17,7 +17,7 @@ from models.parts.registry import PARTS, part_class
 
 
 @dataclass(frozen=True)
-class Place(Section):
+class PartSite(Section):
     """Keys of every element."""
 
     kind: Annotated[str, Text("name of the part")]
@@ -92,21 +92,21 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
             raise InputError(f"[parts] {name} is not a section; write [parts.NAME] with kind = ..., one of {listing(kinds)}")
         common = {
             key: [one] if key == "at" and isinstance(one := given[key], str) else given[key]
-            for key in keys(Place)
+            for key in keys(PartSite)
             if key in given
         }
         if "kind" not in given:
             raise InputError(f"{where} kind is missing; give one of {listing(kinds)}")
-        place = read(where, Place, common)
+        place = read(where, PartSite, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")
-        if unknown := [key for key in given if key not in (known := [*keys(Place), *keys(kinds[place.kind])])]:
+        if unknown := [key for key in given if key not in (known := [*keys(PartSite), *keys(kinds[place.kind])])]:
             raise InputError(f"{where} unknown key {quoted(unknown[0])}; known keys: {alike(unknown[0], known)}")
         if name in taken:
             raise InputError(f"{where} has the name of a parameter; give the section another name")
         with error_in(where):
             some = _places(place.at, corners)
-        part: Any = read(where, kinds[place.kind], {key: one for key, one in given.items() if key not in keys(Place)})
+        part: Any = read(where, kinds[place.kind], {key: one for key, one in given.items() if key not in keys(PartSite)})
         elements.append(Element(name, some, part))
     return tuple(elements)
 

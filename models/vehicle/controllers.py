@@ -43,7 +43,7 @@ class DesignConditions:
         loads: loads on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances in addition to the road.
     """
 
-    given_as = "design conditions, such as vehicle.hardware(name) returns"
+    public_name = "design conditions, such as vehicle.hardware(name) returns"
 
     noise: tuple[float, ...] = ()
     bandwidth: float | None = None
@@ -78,7 +78,7 @@ class ControllerEntry:
         forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
-    given_as = "an entry of vehicle.controllers"
+    public_name = "an entry of vehicle.controllers"
 
     name: str
     measured: tuple[str, ...]

@@ -11,7 +11,7 @@ from models.common.schema import NUMBER, Section, described, json_schema
 from models.kinds.seat import Seat
 from models.kinds.seated_kind import seated
 from models.laws.filter import FilterSection
-from models.parts.element import Place, element_kinds
+from models.parts.element import PartSite, element_kinds
 from models.vehicle.controllers import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
@@ -78,7 +78,7 @@ def file_schema(name: str) -> dict[str, Any]:
 
 def _element(name: str, section: type[Section]) -> dict[str, Any]:
     """Returns the schema of a section of `[parts]` with this kind."""
-    whole, own = json_schema(Place), json_schema(section)
+    whole, own = json_schema(PartSite), json_schema(section)
     at = {"anyOf": [whole["properties"]["at"], {"type": "string"}]}
     properties = whole["properties"] | {"kind": {"const": name}, "at": at} | own["properties"]
     return own | {"properties": properties, "required": ["kind", *own.get("required", [])]}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
-from models.characteristics.stops import Pair, StopPair, StopSection, read_places, stop_words, stops_at
+from models.characteristics.stops import BumpAndRebound, StopPair, StopSection, read_places, stop_words, stops_at
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
@@ -61,7 +61,7 @@ class Limits(LimitsSection):
         places: names of axles and corners with other stops, each with the keys of its own.
     """
 
-    given_as = "limits, such as vehicle.limits"
+    public_name = "limits, such as vehicle.limits"
 
     places: tuple[tuple[str, StopSection], ...] = ()
 
@@ -70,11 +70,11 @@ class Limits(LimitsSection):
         """True if any key of bump stops is given."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
-    def stops_at(self, corner: str) -> Pair | None:
+    def stops_at(self, corner: str) -> BumpAndRebound | None:
         """Returns the bump stops of a corner, or None if it has no stops."""
         return stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
-    def stops(self, suspensions: "Sequence[Suspension]") -> dict[str, Pair]:
+    def stops(self, suspensions: "Sequence[Suspension]") -> dict[str, BumpAndRebound]:
         """Returns the stops in bump and rebound of a vehicle's suspensions, by deflection, without those that have no stops."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
@@ -210,7 +210,7 @@ LATE = "delay from a measurement to the force computed from it, in samples, or a
 class Implementation(Section):
     """Implementation of the controller: sampling, delay, noise and quantisation."""
 
-    given_as = "an implementation, such as vehicle.implementation"
+    public_name = "an implementation, such as vehicle.implementation"
 
     sample_period: Annotated[float, SI("s", "multiple of the timestep, which is the default", high=LONGEST_PERIOD)] | None = None
     delay: Annotated[float, ReadBy(LATE, _delay, allowed=SI("s", low=0, high=MOST_DELAY).json)] = 0
@@ -341,7 +341,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     return steps
 
 
-def steps_held(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
+def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
     """Returns the parts of a sample period with one force each: its timesteps, and the delay of its force [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)

@@ -44,7 +44,7 @@ class PayloadSection(Section):
     z: Annotated[float, SI("m", "height of the point mass above the unladen body's centre of mass", -20.0, 20.0)] = 0.0
 
 
-def laden(
+def apply_payload(
     section: Mapping[str, Any], kind: VehicleKind, parameters: dict[str, float], limits: Limits, curves: Mapping[str, ForceCurve]
 ) -> tuple[dict[str, float], Limits, VehicleKind]:
     """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
@@ -59,7 +59,7 @@ def laden(
     if several and (own := [key for key, one in section.items() if not isinstance(one, Mapping)]):
         raise InputError(f"[payload] has {own[0]}, and sections of other masses; write {own[0]} in a section [payload.NAME], too")
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
-    model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
+    model, load = kind.full_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
     heavier, laden_kind = dict(parameters), kind
     shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
     if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:

@@ -40,7 +40,7 @@ class WeightedSum:
         filter: filter from the weighted sum to z; None for no filter.
     """
 
-    given_as = "a weighted sum, such as one of vehicle.sums"
+    public_name = "a weighted sum, such as one of vehicle.sums"
 
     name: str
     weight: float
@@ -138,7 +138,7 @@ def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], out
         raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {listing(outputs)}")
 
 
-def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
 
     Raises:

@@ -44,9 +44,9 @@ from models.vehicle.sections import (
     known_quantities,
     ratio_doubts,
     read_performance,
+    resolved_text,
     settled,
     suspension_doubts,
-    whole_text,
 )
 
 if TYPE_CHECKING:
@@ -373,19 +373,19 @@ class Vehicle(Shown):
         """The vehicle with the actuators of controllers with `actuators = "force"`, which push within `[limits]`."""
         return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
 
-    def driven_by(self, name: str) -> "Vehicle":
+    def with_actuators_of(self, name: str) -> "Vehicle":
         """Returns the vehicle with the actuators that a controller drives: adjustable dampers, or those that push."""
         forced = bool(self.dampers) and name in self.controllers and self.controllers[name].forced
         return self.with_force_actuators if forced else self
 
-    def for_all(self, names: Sequence[str]) -> "Vehicle":
+    def with_common_actuators(self, names: Sequence[str]) -> "Vehicle":
         """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
 
         Raises:
             InputError: some controllers drive dampers, others force actuators.
         """
         named = [name for name in names if name in self.controllers]
-        pushing = [name for name in named if self.driven_by(name) is not self]
+        pushing = [name for name in named if self.with_actuators_of(name) is not self]
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
@@ -541,7 +541,7 @@ class Vehicle(Shown):
             InputError: the parts are not a vehicle together, or do not fit its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
-        outputs = (*self.kind.whole_model(parameters).outputs, *names_of(self.kind.of_parts))
+        outputs = (*self.kind.full_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)
         filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
         sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
@@ -632,7 +632,7 @@ def read_vehicle(file: str | Path) -> Vehicle:
         path = HERE / f"{file}.toml"
     text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     with error_in(f"vehicle file {path}:"):
-        whole, files = whole_text(text, path.parent)
+        whole, files = resolved_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
 
 
@@ -664,10 +664,10 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
-        from models.vehicle.payload import laden
+        from models.vehicle.payload import apply_payload
 
-        parameters, limits, vehicle_kind = laden(given.payload, vehicle_kind, parameters, limits, curves)
-    model = vehicle_kind.whole_model(parameters)
+        parameters, limits, vehicle_kind = apply_payload(given.payload, vehicle_kind, parameters, limits, curves)
+    model = vehicle_kind.full_model(parameters)
     elements = ()
     if given.parts:
         from models.parts.element import read_elements, states_of

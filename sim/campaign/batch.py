@@ -15,7 +15,7 @@ from sim.drive.case import Batch, Case
 from sim.drive.drive import StoppedError, drive
 from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGED, Block
-from sim.drive.regime import FLAT, LAW_OVERFLOW, RAN_AWAY
+from sim.drive.regime import FLAT, LAW_DIVERGED, LAW_OVERFLOW
 from sim.observers.ends import Ends, RunEnd
 from sim.observers.registry import observer
 from sim.observers.results import WHEN
@@ -137,12 +137,12 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
     if end.broke_off == FLAT.name:
         reason = f"flat: a tyre is compressed by more than {MOST_SQUEEZE:g} m at {WHEN.text(end.flat)}"
     elif end.broke_off == LAW_OVERFLOW:
-        reason = f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=WHEN.text(end.diverged))}"
+        reason = f"{LAW_OVERFLOW}: {LAW_DIVERGED.format(when=WHEN.text(end.diverged))}"
     elif end.broke_off is not None:
         reason = f"diverged: a signal is beyond {DIVERGED:g} at {WHEN.text(end.diverged)}"
     return {
         "reason": reason,
-        "diverged_at": None if end.ran_away else finite(end.diverged),
+        "diverged_at": None if end.law_diverged else finite(end.diverged),
         "ended_by": end.by,
         "ended_at": finite(end.until),
     }

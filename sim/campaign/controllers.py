@@ -19,7 +19,7 @@ from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.samples import Values
-from sim.command.comparison import controllers_of, say_false_claims
+from sim.command.comparison import controllers_of, warn_invalid_certificates
 from synth.controller.controller import AnyController, Controller
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
@@ -40,7 +40,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
         if len(controllers) < len(campaign.controllers):
             raise DesignError(f"vehicle {name!r}: some controllers cannot be designed; remove those named above from the file")
-        say_false_claims(controllers)
+        warn_invalid_certificates(controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle
 

@@ -153,7 +153,7 @@ def _parse(text: str, folder: Path) -> Campaign:
         for controller in controllers:
             if controller not in vehicle.controller_names:
                 raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
-    vehicles = {name: vehicle.for_all(controllers) for name, vehicle in vehicles.items()}
+    vehicles = {name: vehicle.with_common_actuators(controllers) for name, vehicle in vehicles.items()}
     roads = tuple(choose_road(road, folder) for road in given.roads)
     a_vehicle = next(iter(vehicles.values()))
     _check_once("roads", given.roads, [_what_it_is(road, a_vehicle) for road in roads])

@@ -40,6 +40,6 @@ def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) 
         InputError: a value is not allowed.
     """
     endings = {one.force: one.ending for one in vehicle.parts.adjustable}
-    section, model = {controller: record_of(vehicle, controller, values)}, vehicle.kind.whole_model(vehicle.parameters)
+    section, model = {controller: record_of(vehicle, controller, values)}, vehicle.kind.full_model(vehicle.parameters)
     read = read_controllers(section, model, vehicle.limits, vehicle.implementation, vehicle.kind, dampers=endings)
     return read[unicodedata.normalize("NFC", controller)]

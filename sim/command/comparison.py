@@ -84,7 +84,7 @@ def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, li
     return {"left_out": left} if left else {}
 
 
-def say_false_claims(controllers: Iterable[AnyController]) -> None:
+def warn_invalid_certificates(controllers: Iterable[AnyController]) -> None:
     """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
 
     Such a controller is driven all the same.
@@ -246,7 +246,7 @@ def run_named(
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
-    say_false_claims(controllers)
+    warn_invalid_certificates(controllers)
     return run_controllers(vehicle, controllers, road, time)
 
 

@@ -82,7 +82,7 @@ class Batch:
         failures: failures of laws in Python by run: such a run continues without forces. None to raise the first failure.
         numbers: numbers of the runs among all cases, which `failures` has.
         diverged: time at which each run diverged in the blocks so far [s], shape (N,), or infinity.
-        ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
+        ran_away: True for each of these that diverged by the states of its law alone, see `Block.law_diverged`, shape (N,).
     """
 
     cases: Sequence[Case]
@@ -97,7 +97,7 @@ class Batch:
     failures: dict[int, Failure] | None
     numbers: Sequence[int]
     diverged: Array
-    ran_away: Array
+    law_diverged: Array
 
     @property
     def time(self) -> Array:
@@ -131,7 +131,7 @@ class Batch:
             sides={k: heights[runs] for k, heights in self.sides.items()},
             numbers=self.numbers[runs],
             diverged=self.diverged[runs],
-            ran_away=self.ran_away[runs],
+            law_diverged=self.law_diverged[runs],
             **arrays,
             **more,
         )

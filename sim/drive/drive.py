@@ -139,7 +139,7 @@ def _completed(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable
     for block in loop.blocks(batch, edges, stopped):
         end = block.start + len(block.values)
         some = slice(block.start, end)
-        batch.ran_away[...] |= block.ran_away & np.isinf(batch.diverged)
+        batch.law_diverged[...] |= block.law_diverged & np.isinf(batch.diverged)
         batch.diverged[...] = np.minimum(batch.diverged, block.diverged(batch.time))
         if np.isfinite(batch.diverged).any():
             block.clip(batch.time[some, None] >= batch.diverged)

@@ -75,19 +75,19 @@ class Block:
         """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
         times.
         """
-        wild = self._wild
+        wild = self._beyond_limits
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
 
     @property
-    def ran_away(self) -> Array:
+    def law_diverged(self) -> Array:
         """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,): they overflowed,
         and every physical signal was still within `DIVERGED`.
         """
-        wild, runs = self._wild, np.arange(self.largest.shape[1])
+        wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
         return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGED)
 
     @property
-    def _wild(self) -> Array:
+    def _beyond_limits(self) -> Array:
         """Returns True at the samples that a run does not go beyond, shape (B, N)."""
         return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
 

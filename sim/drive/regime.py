@@ -217,7 +217,7 @@ DEMAND_CLIPPED = (
 COMMAND_LIMITED = "saturation: a command first exceeds the largest force at {when}; it is limited before the actuator's lag"
 DIVERGENCE = "divergence"
 LAW_OVERFLOW = "law overflow"
-RAN_AWAY = "the states of the control law overflow; from {when} on, the law requests no finite force"
+LAW_DIVERGED = "the states of the control law overflow; from {when} on, the law requests no finite force"
 
 
 def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
@@ -438,4 +438,4 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
 def broken_by(response: Response) -> str:
     """Returns the reason why a run broke off: `DIVERGENCE`, or `LAW_OVERFLOW` for a law whose own states diverged."""
-    return LAW_OVERFLOW if response.ran_away else DIVERGENCE
+    return LAW_OVERFLOW if response.law_diverged else DIVERGENCE

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import at_the_door, check_fields, plain
+from models.common.checks import check_fields, plain, validated
 from models.common.errors import InputError, listing, quoted
 from models.document.document import Document
 from models.document.text import Shown, facts
@@ -97,7 +97,7 @@ class Response(Shown):
             raise InputError(f"the response has no signal {quoted(signal)}; give one of: {listing(self.names)}")
         return self.names.index(signal)
 
-    @at_the_door
+    @validated
     def run(self, index: int) -> "Response":
         """Returns one run of many.
 
@@ -148,7 +148,7 @@ class Response(Shown):
         return float(self.time[broken.argmax()]) if broken.any() else np.inf
 
     @property
-    def ran_away(self) -> bool:
+    def law_diverged(self) -> bool:
         """Returns True if a single run of physics ended because the states of its law diverged; see `Recording.response`."""
         return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
@@ -201,7 +201,7 @@ class Response(Shown):
         frame.attrs["units"] = {signal.name: signal.unit for signal in self.signals}
         return frame
 
-    @at_the_door
+    @validated
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
         """Returns one run as python-control's response: the outputs of its vehicle over its road, by name.
 

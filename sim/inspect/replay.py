@@ -61,7 +61,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
         vehicle = vehicle.without(part)
     # The passive vehicle and state feedback, beside controllers that push
     pushed = vehicle.dampers and name in RESERVED and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
-    vehicle = vehicle.with_force_actuators if pushed else vehicle.driven_by(name)
+    vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}
     return replace(vehicle.starting(**start), implementation=Implementation(**run.claim("implementation")))
 

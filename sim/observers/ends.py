@@ -24,7 +24,7 @@ class RunEnd:
 
     times: Array
     diverged: float
-    ran_away: bool
+    law_diverged: bool
 
     @property
     def flat(self) -> float:
@@ -41,7 +41,7 @@ class RunEnd:
         """The name of what ended the linear regime, or None."""
         if math.isinf(self.until):
             return None
-        broken = LAW_OVERFLOW if self.ran_away else DIVERGENCE
+        broken = LAW_OVERFLOW if self.law_diverged else DIVERGENCE
         return broken if self.diverged <= self.times.min() else END_NAMES[int(self.times.argmin())]
 
     @property
@@ -49,7 +49,7 @@ class RunEnd:
         """The event after which all numbers are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; None without one."""
         if self.flat < self.diverged:
             return FLAT.name
-        return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.ran_away else DIVERGENCE
+        return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.law_diverged else DIVERGENCE
 
 
 class Ends:
@@ -71,5 +71,5 @@ class Ends:
 
     def result(self) -> list[RunEnd]:
         """Returns the ends of every run."""
-        each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.ran_away.tolist(), strict=True)
+        each = zip(self._detector.times, self._batch.diverged.tolist(), self._batch.law_diverged.tolist(), strict=True)
         return [RunEnd(*one) for one in each]

@@ -313,7 +313,7 @@ class _Path:
         self.model, moved = _observed(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
         q, v, roads = (np.concatenate([one, other, np.zeros_like(one[:1])]) for one, other in again)
-        seen = _look(road.vehicle, self.model, q, v, roads)
+        seen = _evaluate_states(road.vehicle, self.model, q, v, roads)
         self.starts, self.ends, self.rest = seen[: len(qpos)], seen[1 : len(qpos)].copy(), seen[-1]
         self.ends[moved] = seen[len(qpos) : -1]
 
@@ -346,7 +346,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
     return model
 
 
-def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
+def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roads: Array) -> Array:
     """Returns energies, lengths and rates of `_Path` in T states over these roads, shape (T, n)."""
     names = ("energy", "ten_length", "qpos", "actuator_length", "ten_velocity", "qvel", "actuator_velocity")
     batch = Batch(model, min(AT_ONCE, max(1, len(qpos))), 0)

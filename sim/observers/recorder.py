@@ -90,7 +90,7 @@ class Recorder:
         for i, (case, on) in enumerate(zip(batch.cases, batch.inputs, strict=True)):
             period = steps_per_sample(case.vehicle.implementation, batch.timestep) * batch.timestep
             states = kept[:, i, : case.driver.states] * case.driver.state_scale(period)
-            states[gone[:, i]] = np.inf if batch.ran_away[i] else np.nan
+            states[gone[:, i]] = np.inf if batch.law_diverged[i] else np.nan
             one = response.run(i).beside(kept_signals(range(1, case.driver.states + 1)), states)
             seen = dict(zip(first.names, measured[:, i].T, strict=True))
             recordings.append(Recording(case, on, one, qpos[:, i], qvel[:, i], seen, commands[:, i]))

@@ -44,7 +44,7 @@ class RunLog:
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
 
-    given_as = "a log, such as sim.run_log returns"
+    public_name = "a log, such as sim.run_log returns"
 
     name: str
     responses: Mapping[str, Response]

@@ -125,13 +125,13 @@ def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str
     subjects = {}
     for title, names in chosen_of(known, options.controller, usual).items():
         vehicle = vehicles[title]
-        pushing = [name for name in names if vehicle.driven_by(name) is not vehicle]
+        pushing = [name for name in names if vehicle.with_actuators_of(name) is not vehicle]
         others = [name for name in names if name not in pushing]
         if pushing and any(name in vehicle.controllers for name in others):
             subjects[title or Path(vehicle.source).stem] = (vehicle, others)
             subjects[f"{title or Path(vehicle.source).stem}-force"] = (vehicle.with_force_actuators, pushing)
         else:
-            subjects[title] = (vehicle.for_all(names), names)
+            subjects[title] = (vehicle.with_common_actuators(names), names)
     return subjects
 
 
@@ -183,10 +183,10 @@ def _reported(
 ) -> "Report":
     """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
     from models.vehicle.limits_and_implementation import steps_per_sample
-    from sim.command.comparison import controllers_of, runnable, say_false_claims
+    from sim.command.comparison import controllers_of, runnable, warn_invalid_certificates
     from sim.report.contents import pieces_of, report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
+    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Subject
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
     from synth.controller.controller import Controller
@@ -216,11 +216,11 @@ def _reported(
         known = {one.name: one for one in controllers}
         coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
         exported = next(one for one in coded if one.code is not None)
-    say_false_claims(controllers)
+    warn_invalid_certificates(controllers)
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
     own = {"own_road": road, "road_name": name, "duration": duration}
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
+    scope = Subject(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
     stage = Stages(*stages(pieces_of(scope)), "the page")
     scope = replace(scope, progress=stage)
     result = report(scope, _about(vehicle.source), pool.begin)

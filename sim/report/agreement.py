@@ -14,7 +14,7 @@ from models.document.reading import Pivot
 from models.document.text import names_text
 from sim.command.road_options import end_lines
 from sim.observers.results import DIFFERENCE, WHEN
-from sim.report.scope import BUMP_DURATION, Scope
+from sim.report.scope import BUMP_DURATION, Subject
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.prediction import LINEAR, NONLINEAR
 from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
@@ -27,7 +27,7 @@ ROOM = 1.15  # times what was reached, on both axes
 NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
-def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
+def suspension_figure(scope: Subject, runs: Sequence[Run], where: str) -> Figure | None:
     """Returns force over velocity of nonlinear and semi-active dampers, and over deflection of nonlinear springs.
 
     It is None for a vehicle without such parts.
@@ -37,7 +37,7 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
     return Figure("suspension", title, panels, columns=min(2, len(panels))) if panels else None
 
 
-def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
+def _panel(scope: Subject, diagram: Diagram, runs: Sequence[Run]) -> Panel:
     """Returns the panel of a diagram: its lines over the range of all runs, and about `DIAGRAM_POINTS` samples of each run."""
     points, far, high = [], 1e-3, 0.0
     for run in runs:
@@ -55,7 +55,7 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
-def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
+def response_section(scope: Subject, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Document:
     """Returns the section on the road of the report: signals over time, and their peaks, or the metrics measured `when`."""
     road, text, title = scope.own_road, (), "Response to the road"
     drawn = history_figure(runs, scope.where if road is None else scope.road_name)
@@ -70,7 +70,7 @@ def response_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMe
     return Document(title, (*text, *run_statements(runs, f"Over {scope.where}, "), *figures, table))
 
 
-def _peaks(scope: Scope, runs: Sequence[Run]) -> Table:
+def _peaks(scope: Subject, runs: Sequence[Run]) -> Table:
     """Returns peaks and rms values of every weighted signal over the bump."""
     vehicle = scope.vehicle
     pairs = [(run, name) for name, weight in vehicle.performance.items() if weight > 0 for run in runs]
@@ -109,7 +109,7 @@ def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
     return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))
 
 
-def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
+def agreement_section(scope: Subject, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR

@@ -18,7 +18,7 @@ from sim.report.designs import design_section, paper_section
 from sim.report.exported import exported_section
 from sim.report.loads import dives, loads_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
-from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope, file_stem
+from sim.report.scope import AMPLITUDE, BUMP_DURATION, Subject, file_stem
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
@@ -41,7 +41,7 @@ OF_MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 
 
 Name = tuple[str, str]  # stage and subject
-Piece = Callable[[Scope], Any]  # a function of a module, or a `partial` of one
+Piece = Callable[[Subject], Any]  # a function of a module, or a `partial` of one
 MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
 
 
@@ -61,7 +61,7 @@ class Report:
 
 
 def report(
-    scope: Scope, provenance: dict[str, str], begin: Callable[[Scope, dict[Name, Piece]], Callable[[], dict[Name, Any]]]
+    scope: Subject, provenance: dict[str, str], begin: Callable[[Subject, dict[Name, Piece]], Callable[[], dict[Name, Any]]]
 ) -> Report:
     """Returns the whole report.
 
@@ -120,7 +120,7 @@ def stages(pieces: Iterable[Name]) -> tuple[str, ...]:
     return BUMP, REGIME, *dict.fromkeys(stage for stage, _ in reversed([*pieces]))
 
 
-def pieces_of(scope: Scope) -> dict[Name, Piece]:
+def pieces_of(scope: Subject) -> dict[Name, Piece]:
     """Returns the independent pieces of a page, by stage and subject, the longest first."""
     maps = {(MAP, one.name): partial(_map, number=i) for i, one in enumerate(scope.active)}
     some, full = bool(scope.stable or scope.laws), not scope.quick
@@ -135,14 +135,14 @@ def pieces_of(scope: Scope) -> dict[Name, Piece]:
     }
 
 
-def _front(scope: Scope) -> Document:
+def _front(scope: Subject) -> Document:
     """Returns the section on a trade-off."""
     from sim.report.front import front_section  # only a report with --front waits for its import
 
     return front_section(scope)
 
 
-def _frequencies(scope: Scope) -> list[Document]:
+def _frequencies(scope: Subject) -> list[Document]:
     """Returns the sections on frequency responses and, except in a quick report, on a workshop's plate; none without a loop."""
     vehicle, how = scope.vehicle, (AMPLITUDE, scope.timestep, scope.speed)
     sweeps: list[Sweep] = []
@@ -162,7 +162,7 @@ def _frequencies(scope: Scope) -> list[Document]:
     return [section, *([workshop(vehicle, sweeps)] if sweeps else [])]
 
 
-def _margins(scope: Scope) -> Document:
+def _margins(scope: Subject) -> Document:
     """Returns the section on margins, predicted and found."""
     # A quick report has no margins, and waits for none of their searches to be imported.
     from sim.studies.stability.report import compare
@@ -172,13 +172,13 @@ def _margins(scope: Scope) -> Document:
     return compare(stability_margins(scope.vehicle, scope.active, step, scope.progress, each_loop=False))
 
 
-def _map(scope: Scope, number: int) -> Cells:
+def _map(scope: Subject, number: int) -> Cells:
     """Returns the map of an active controller: bumps of the paper's length, with all heights and speeds of `OF_MAP`."""
     bumps, vehicle = grid(read_axes(OF_MAP), {"length": Bump().length}), ideal_measurements(scope.vehicle)
     return validity(vehicle, scope.active[number], bumps, sample_times(vehicle, BUMP_DURATION, scope.map_timestep))
 
 
-def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
+def _rides(scope: Subject) -> tuple[list[Ride], list[Standing]]:
     """Returns the ride of stable controllers and of laws over random roads, and their standings and that of passive."""
     reported = (*scope.stable, *scope.laws)
     driven = [OverRoads(scope.vehicle, one, scope.timestep) for one in reported]
@@ -188,7 +188,7 @@ def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
 
 
 def _compared(
-    scope: Scope,
+    scope: Subject,
     runs: Sequence[Run],
     over_roads: Sequence[Standing],
     samples: tuple[int, int | None],
@@ -206,7 +206,7 @@ def _compared(
     return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
 
 
-def _provenance(scope: Scope, provenance: dict[str, str]) -> Document:
+def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
     """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)

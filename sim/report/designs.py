@@ -12,7 +12,7 @@ from models.document.field import Field
 from models.document.text import names_text
 from models.laws.linear import gain_text, states_text
 from models.vehicle.vehicle import Vehicle
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from synth.analysis.specification import Specification
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
@@ -23,7 +23,7 @@ from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, our
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
 
-def design_section(scope: Scope) -> Document:
+def design_section(scope: Subject) -> Document:
     """Returns the section on designs: norms, bounds and certificates as `python -m synth` prints them, goals, and gains."""
     rows, designer, vehicle = [_row(scope, one) for one in scope.controllers], scope.designer, scope.vehicle
     document = describe(vehicle, rows, designer.beyond_control, designer.plant, apart=True)
@@ -42,7 +42,7 @@ def design_section(scope: Scope) -> Document:
     return Document(document.title, (*blocks, *(table for table in gains if table is not None)))
 
 
-def _loops(scope: Scope) -> list[Statement]:
+def _loops(scope: Subject) -> list[Statement]:
     """Returns statements on the two loops, on unstable ones, on missed goals, and on laws without linear analysis."""
     statements, vehicle = list[Statement](), scope.vehicle
     built = (*vehicle.limits.phrases(vehicle.kind.suspensions), *vehicle.implementation.phrases)
@@ -71,13 +71,13 @@ def _loops(scope: Scope) -> list[Statement]:
     return statements
 
 
-def _row(scope: Scope, one: Controller) -> Row:
+def _row(scope: Subject, one: Controller) -> Row:
     """Returns the row of a controller in the table of designs."""
     certificate, norm = one.certificate, scope.built_norms.get(one.name)
     return Row(one.name, one, (), failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm), sampled=norm)
 
 
-def _with_laws(scope: Scope, table: Table) -> Table:
+def _with_laws(scope: Subject, table: Table) -> Table:
     """Returns the table of designs with a row for each law without a proof."""
     empty = ["-"] * (len(table.headings) - 3)
     rows = ((one.name, ", ".join(one.measured).replace("_", " "), *empty, f"no linear claim ({one.kind})") for one in scope.laws)
@@ -124,7 +124,7 @@ def per_unit(unit: str, other: str) -> str:
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
-def paper_section(scope: Scope) -> Document:
+def paper_section(scope: Subject) -> Document:
     """Returns the section on the numbers that the paper prints of its designs, and ours from scratch."""
     values, rows = ours(scope.designer), []
     for row in PRINTED:

@@ -2,14 +2,14 @@
 
 from models.common.printed import entry
 from models.document.document import Document, Table, notes
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from sim.runs.report import code_notes, code_table, verdicts
 from sim.runs.run import run_controllers, sample_times
 
 TITLE = "Exported code"
 
 
-def exported_section(scope: Scope) -> Document:
+def exported_section(scope: Subject) -> Document:
     """Returns the section on the exported code of a report: its format and inputs, and its run."""
     assert scope.exported is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)

@@ -9,7 +9,7 @@ from models.common.errors import InputError
 from models.document.document import Document, notes
 from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
-from sim.report.scope import AMPLITUDE, Scope
+from sim.report.scope import AMPLITUDE, Subject
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
 from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
 from synth.analysis.norm import largest_singular_values
@@ -39,7 +39,7 @@ def check_front(vehicle: Vehicle, text: str) -> None:
     entry_of(vehicle, usual(vehicle))
 
 
-def front_section(scope: Scope) -> Document:
+def front_section(scope: Subject) -> Document:
     """Returns the front of the usual controller, or the reason why it is missing."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
     assert given is not None, "no axes"
@@ -70,7 +70,7 @@ def front_section(scope: Scope) -> Document:
 SHARE = Field[float]("share", lambda share: share, ".2f", 100)
 
 
-def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
+def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
     """Returns the gain of a design in MuJoCo on the sinusoid at which its norm on an axis is reached; NaN without one."""
     controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
     norm = trade_off.points[i].norms[k]

@@ -19,7 +19,7 @@ from models.vehicle.names import PLUS
 from sim.drive.case import Case
 from sim.observers.recorder import record
 from sim.report.agreement import run_statements
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from sim.runs.forces import pushed
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, POINTS
@@ -46,7 +46,7 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
-def dives(scope: Scope) -> dict[str, float]:
+def dives(scope: Subject) -> dict[str, float]:
     """Returns the largest dive of every controller in MuJoCo under braking [deg]; empty for a vehicle that cannot pitch.
 
     A run that breaks off has none.
@@ -64,7 +64,7 @@ def dives(scope: Scope) -> dict[str, float]:
     }
 
 
-def loads_section(scope: Scope) -> Document:
+def loads_section(scope: Subject) -> Document:
     """Returns the section on loads on a flat road: loads over time, and the angles of the body."""
     vehicle, road, names = scope.vehicle, loaded_road(scope.loads), PLUS.join(load.label for load in scope.loads)
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
@@ -104,7 +104,7 @@ def loads_section(scope: Scope) -> Document:
     )
 
 
-def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
+def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
     """Yields panels of the loads over time, then of angles, then of suspensions."""
     vehicle = scope.vehicle
     acting = pushed(vehicle, road, runs[0].physics.time)

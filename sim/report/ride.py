@@ -163,7 +163,7 @@ class OverRoads:
         values = np.stack([one.response.values[:, : len(vehicle.kind.signals)] for one in runs], axis=2)
         flat = [reached(vehicle, one.response)[REGIME_ENDS.index(FLAT)] for one in runs]
         self.ended = np.minimum([one.diverged for one in runs], flat)
-        self.ran_away = np.array([one.response.ran_away for one in runs])
+        self.law_diverged = np.array([one.response.law_diverged for one in runs])
         meter = Meter([vehicle] * count, float(time[1]), round(start / timestep), speeds=[SPEED] * count)
         meter.update(values)
         self.found = meter.result()
@@ -194,7 +194,7 @@ class OverRoads:
             lifted = max((float(some[name].max(initial=0.0)) for name in lifts), default=0.0)
             events = LIFTED.text(lifted) if lifted else "none"
             if not through.all():
-                broken = f"flat{', diverged or of an overflowing law' if self.ran_away[runs].any() else ' or diverged'}"
+                broken = f"flat{', diverged or of an overflowing law' if self.law_diverged[runs].any() else ' or diverged'}"
                 events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
             for metric in metrics:
                 name, unit = metric.name, metric.unit

@@ -27,7 +27,7 @@ AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
 
 @dataclass(frozen=True, eq=False)
-class Scope:
+class Subject:
     """Subject of a report.
 
     Designs and certificates are for the *ideal loop*, which is continuous and without limits. MuJoCo runs the *implemented loop*

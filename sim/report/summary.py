@@ -15,7 +15,7 @@ from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
 from sim.observers.results import WHEN
 from sim.report.ride import AVERAGE, SEEDS, SPEED
-from sim.report.scope import NAME, Scope
+from sim.report.scope import NAME, Subject
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
 from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Standing, best, compared_table, headline
@@ -29,7 +29,7 @@ PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # of 
 
 
 def first_screen(
-    scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
+    scope: Subject, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
 ) -> Document:
     """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
 
@@ -43,7 +43,7 @@ def first_screen(
     return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 
 
-def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table, where: str) -> Figure:
+def _bars(scope: Subject, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table, where: str) -> Figure:
     """Returns bars of ride, travel, tyre load, force and dive of every controller, with changes as in the table."""
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
@@ -65,7 +65,7 @@ def _bars(scope: Scope, compared: Sequence[Standing], dives: Sequence[Field[Stan
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), finding=f"{headline(compared)}.")
 
 
-def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
+def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
     """Returns the goals and limits of the vehicle file and the controllers that meet them; None without any.
 
     Goals are compared with what is proved, limits with the run over the road.
@@ -88,7 +88,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow
-def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
+def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], wrong: Sequence[str]) -> Document:
     """Returns the section on the claims about every controller, and up to which bump they are true.
 
     Args:
@@ -115,7 +115,7 @@ def trust_section(scope: Scope, runs: Sequence[Run], ends: Sequence[OneEnd], wro
     return Document("Verification", (Table.of("summary", caption, columns, runs),))
 
 
-def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: str) -> str:
+def compared_on(scope: Subject, compared: Sequence[Standing], rides: bool, when: str) -> str:
     """Describes the roads that controllers are compared on: the report's own, measured when, random ones, or the bump."""
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:

@@ -12,7 +12,7 @@ from models.common.threads import cores
 
 if TYPE_CHECKING:  # it imports nearly everything, which children begin to import before this process does
     from sim.report.contents import Name, Piece
-    from sim.report.scope import Scope
+    from sim.report.scope import Subject
 
 MOST = 3  # processes: more of them would wait for the longest piece
 
@@ -41,7 +41,7 @@ class WorkerPool:
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)
 
-    def begin(self, scope: "Scope", pieces: "dict[Name, Piece]") -> "Callable[[], dict[Name, Any]]":
+    def begin(self, scope: "Subject", pieces: "dict[Name, Piece]") -> "Callable[[], dict[Name, Any]]":
         """Begins pieces of work, given by stage and subject. Long pieces come first, so that all processes end together.
 
         Returns:
@@ -89,7 +89,7 @@ def _computed(pieces: Iterator[bytes]) -> Iterator[Any]:
         yield piece(scope)
 
 
-def _show(scope: "Scope", name: "Name") -> None:
+def _show(scope: "Subject", name: "Name") -> None:
     """Shows which piece is computed, or waited for."""
     stage, subject = name
     scope.progress(stage)

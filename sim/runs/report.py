@@ -24,9 +24,9 @@ from sim.drive.regime import (
     CURVE,
     DEMAND_CLIPPED,
     FLAT,
+    LAW_DIVERGED,
     LAW_OVERFLOW,
     LIFT_OFF,
-    RAN_AWAY,
     REGIME_ENDS,
     SATURATION,
     broken_by,
@@ -218,7 +218,7 @@ def verdict(run: RunResult) -> Statement:
     """Returns the verdict on a run: its checks, the range of linear analysis, and its energy balance, in a few words."""
     agreement, energy, words = run.agreement, run.energy, list[str]()
     steps, commands, code = agreement.steps, agreement.commands, agreement.code_effect
-    if run.physics.ran_away and not run.passed:
+    if run.physics.law_diverged and not run.passed:
         overflow = f"LAW OVERFLOW at {WHEN.text(run.diverged)}: rounding decides the forces; the run is not evaluated"
         return Statement(overflow, "fails", "brief")
     if steps is not None and not steps.agrees:
@@ -245,7 +245,7 @@ def verdict(run: RunResult) -> Statement:
         words.append(f"energy {energy.verdict}")
     if run.broke_off is not None and not run.prediction.is_linear:
         words.append(f"{run.broke_off[0]} at {WHEN.text(run.broke_off[1])}")
-    elif run.physics.ran_away and run.diverged > agreement.until:
+    elif run.physics.law_diverged and run.diverged > agreement.until:
         words.append(f"{LAW_OVERFLOW} at {WHEN.text(run.diverged)}")
     radius = run.prediction.radius
     loop = "UNSTABLE loop; " if radius > 1 else "marginal loop; " if radius == 1 else ""
@@ -315,7 +315,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
-    if not run.physics.ran_away or run.passed:  # else rounding decides the forces of the law
+    if not run.physics.law_diverged or run.passed:  # else rounding decides the forces of the law
         said += [*_checks(run), *_distance(run)]
     said += _balance(run)
     return (*stops, *(replace(one, detail=detail) for one in said))
@@ -329,8 +329,8 @@ def _events(run: RunResult) -> Iterator[str]:
         yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
     elif radius == 1:
         yield "marginal: a mode of the sampled loop neither grows nor decays, to rounding"
-    if run.physics.ran_away:
-        yield f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=WHEN.text(run.diverged))}"
+    if run.physics.law_diverged:
+        yield f"{LAW_OVERFLOW}: {LAW_DIVERGED.format(when=WHEN.text(run.diverged))}"
     elif math.isfinite(run.diverged):
         yield f"diverged: MuJoCo was stopped at {WHEN.text(run.diverged)}"
     if agreement.lift_off:
@@ -447,7 +447,7 @@ def _balance(run: RunResult) -> Iterator[Statement]:
     elif energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
         yield Statement(f"energy balances: all work of {sources} is stored or dissipated, to within {of}")
-    elif not energy.judged or run.physics.ran_away:
+    elif not energy.judged or run.physics.law_diverged:
         why = "the law overflows" if energy.judged else "the timestep is too coarse"
         yield Statement(f"energy is not evaluated, because {why}: {of} is neither stored nor dissipated")
     else:
@@ -593,7 +593,7 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
-        happened.append((run.diverged, LAW_OVERFLOW if run.physics.ran_away else "diverged"))
+        happened.append((run.diverged, LAW_OVERFLOW if run.physics.law_diverged else "diverged"))
     others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
     happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))

@@ -127,7 +127,7 @@ def run_controllers(
         time: equidistant sample times from 0 [s], see `sample_times`.
         balanced: False leaves out positions, energy and the change by half the step.
     """
-    recordings = record([Case(vehicle.driven_by(one.name), one, road) for one in controllers], time)
+    recordings = record([Case(vehicle.with_actuators_of(one.name), one, road) for one in controllers], time)
     each = zip(controllers, recordings, strict=True)
     runs = compare_runs([predicted(controller, one.input, one.commands) for controller, one in each], recordings)
     return with_energy_balance(runs, recordings) if balanced else runs
@@ -230,14 +230,14 @@ def _simulated(
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
     return record(
         [
-            Case(vehicles[id(one.vehicle)], driver_again(one, time, share), roads[id(one.road)], earlier=one.input.earlier)
+            Case(vehicles[id(one.vehicle)], replay_driver(one, time, share), roads[id(one.road)], earlier=one.input.earlier)
             for one in predictions
         ],
         time,
     )
 
 
-def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
+def replay_driver(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
     """Returns the driver that repeats a run: its law, or its commands if a noisy law would answer differently at another step.
 
     Args:

@@ -179,7 +179,7 @@ class Certificate(Shown):
         below: proof of the lower bound for controllers of this kind; None if it was not requested.
     """
 
-    given_as = "a certificate, such as synth.certify returns"
+    public_name = "a certificate, such as synth.certify returns"
 
     loop: Plant
     stability: Stability

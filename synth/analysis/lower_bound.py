@@ -71,7 +71,7 @@ class LowerBound:
         reason: reason why the bound may be far below what controllers reach, in words; empty if none is known.
     """
 
-    given_as = "a lower bound, such as synth.find_lower_bound returns"
+    public_name = "a lower bound, such as synth.find_lower_bound returns"
 
     gamma: float
     state: DualCertificate | None = None

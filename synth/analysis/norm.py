@@ -171,17 +171,17 @@ class Gain:
 
     def rounded(self, omega: Array) -> float:
         """Returns the largest rounding of `at` at frequencies [rad/s], measured with twice the digits."""
-        gains, missing = self.closely(omega)
+        gains, missing = self.at_double_double(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
-    def closely(self, omega: Array) -> tuple[Array, Array]:
+    def at_double_double(self, omega: Array) -> tuple[Array, Array]:
         """Returns `at` with twice the digits, shape (F,), and bounds on its error."""
         T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """Returns the error bound of `closely` at a frequency; 0 at infinity."""
-        return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
+        """Returns the error bound of `at_double_double` at a frequency; 0 at infinity."""
+        return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def missed(self, at: float) -> float:
         """Returns the relative excess of a peak between the best frequency and the next one tried, to second order."""
@@ -200,20 +200,20 @@ class Gain:
         if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and a peak beyond it does not count
             return self.missed(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
-        (below, here, above), _ = self.closely(np.array([at - step, at, at + step]))
+        (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
         left, right = (here / below) ** 2, (here / above) ** 2
         bent, slope = left + right - 2, (right - left) / 2
         lowest = min(1 - slope**2 / (2 * bent) if bent > 0 else 1.0, left, right)
         return float(lowest**-0.5 - 1)
 
-    def polished(self, at: float) -> tuple[float, float]:
+    def refined_peak(self, at: float) -> tuple[float, float]:
         """Returns the highest gain with twice the digits near a frequency or near any pole, and its frequency [rad/s]."""
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
-        gains, _ = self.closely(omega)
+        gains, _ = self.at_double_double(omega)
         high = np.unique(omega[gains > 0.9 * gains.max()])
-        there = self._climbed(lambda near: self.closely(near)[0], high, self._width(high), CLOSE_ZOOMS)
-        best, there = float(self.closely(there)[0][0]), float(there[0])
+        there = self._climbed(lambda near: self.at_double_double(near)[0], high, self._width(high), CLOSE_ZOOMS)
+        best, there = float(self.at_double_double(there)[0][0]), float(there[0])
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
@@ -311,7 +311,7 @@ def by_both_routes(gain: Gain) -> Norm:
     if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding is measured
         rounding, missed = gain.rounded(ends), gain.missed_closely
     if rounding > SEEN * max(sweep, level):
-        (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
+        (sweep, at_sweep), (level, at_level) = gain.refined_peak(at_sweep), gain.refined_peak(at_level)
         rounding = max(gain.missing(at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
     return Norm(value, at, level, sweep, rounding / value + missed(at) + gain.last if value else 0.0)
@@ -337,7 +337,7 @@ def gain_at(system: Plant, omega: float) -> float:
     """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
         return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
-    return float(Gain(system).closely(np.array([omega]))[0][0])
+    return float(Gain(system).at_double_double(np.array([omega]))[0][0])
 
 
 def level_set_norm(system: Plant) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from typing import Annotated
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, at_the_door, check_shape
+from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, check_shape, validated
 from synth.analysis.stability import balance
 from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
@@ -211,7 +211,7 @@ class SampledLoop(Checked):
             check_shape("noise", self.noise, expected, f"one row for each of the {m} inputs and the {k} rows of A_register")
 
     @classmethod
-    @at_the_door
+    @validated
     def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
         """Returns the loop of a gain, u = K y at every sample.
 
@@ -389,14 +389,14 @@ class SampledDataProblem:
         return self.pieces[-1].late + 1
 
     @cached_property
-    def remembered(self) -> int:
+    def stored_forces(self) -> int:
         """Number of previous forces among the states."""
         return max(self.pieces[0].late, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
     def rows(self) -> Array:
         """C_y on all states, shape (q, n + m remembered)."""
-        (q, m), k = self.plant.Dyu.shape, self.remembered
+        (q, m), k = self.plant.Dyu.shape, self.stored_forces
         past = np.zeros((q, k * m))
         if np.any(self.plant.Dyu):
             past[:, (self.before - 1) * m : self.before * m] = self.plant.Dyu
@@ -428,7 +428,7 @@ class SampledDataProblem:
 
         It measures `rows` of its states, and the noise.
         """
-        (n, m), k = self.plant.B.shape, self.remembered
+        (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)
         intervals = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
         lifted_loop = lifted(self.plant, intervals, gamma)

@@ -209,7 +209,7 @@ def _about(model: FmuModel) -> str:
 def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     """Returns the vehicle whose file holds the controller's law, and the controller's name in it."""
     entry = vehicle.controllers.get(name)
-    if vehicle.driven_by(name) is not vehicle:
+    if vehicle.with_actuators_of(name) is not vehicle:
         raise InputError(
             f"--export: {name!r} commands force actuators, but the vehicle file has semi-active dampers; export {name!r} from a "
             "file without [actuators]"

@@ -78,7 +78,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
-    own = vehicle.driven_by(controller.name)
+    own = vehicle.with_actuators_of(controller.name)
     name, (norm, _) = controller.name + SUFFIX, norm_or_failure(own, controller)
     checkable = replace(controller.certificate, proof=roomy_proof(controller.certificate))
     record = to_record(checkable) | norm_record(norm) | bound_record(sampled_bound) | {VEHICLE: vehicle_record(own)}

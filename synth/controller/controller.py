@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Checked, at_the_door
+from models.common.checks import Checked, validated
 from models.common.errors import InputError, error_in, listing
 from models.document.document import Document
 from models.document.figure import Figure
@@ -174,7 +174,7 @@ class Controller(ControlLaw, Checked, Shown):
         """The claims of its certificate and its specifications that do not hold, in words."""
         return (*self.certificate.failures, *self.unmet_specifications)
 
-    @at_the_door
+    @validated
     def problem(self, vehicle: Vehicle) -> Problem:
         """Returns the problem that the controller is judged with, for a vehicle that has these signals.
 

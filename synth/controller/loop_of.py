@@ -20,7 +20,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import error_in
 from models.kinds.linear_model import LinearModel
-from models.vehicle.limits_and_implementation import steps_held
+from models.vehicle.limits_and_implementation import hold_intervals
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
@@ -63,7 +63,7 @@ def loop_of(
     """
     hold = ()
     if timestep is not None:
-        hold = tuple(HoldInterval(steps * timestep, late) for steps, late in steps_held(vehicle.implementation, timestep))
+        hold = tuple(HoldInterval(steps * timestep, late) for steps, late in hold_intervals(vehicle.implementation, timestep))
     plant, measured = plant_of(vehicle, controller.measured, bool(hold)), named(controller.measured, READ)
     loop = Loop(plant, controller.law, measured, vehicle.linear_model.inputs, hold, timestep, exponential)
     with error_in(f"controller {controller.name!r}:"):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedLoop:
+class ClosedLoop:
     """Loop of a law, as a gain on a larger plant.
 
     Attributes:
@@ -128,7 +128,7 @@ class Problem:
 
         return with_integrators(law, self.integrated)
 
-    def judged(self, law: LinearLaw) -> "JudgedLoop":
+    def judged(self, law: LinearLaw) -> "ClosedLoop":
         """Returns the loop of a law on the readings, as its certificate is of.
 
         Raises:
@@ -137,7 +137,7 @@ class Problem:
         law = law.continuous()
         if not self.integrals:
             larger, G = self.plant.with_law(law)
-            judged = JudgedLoop(larger, G, self.plant, self.states, law.states)
+            judged = ClosedLoop(larger, G, self.plant, self.states, law.states)
             return judged if self.of_heights is None else self._over_datum(judged, self.of_heights)
         from synth.controller.integral_action import integrators_of, on_integrals, settled
 
@@ -147,16 +147,16 @@ class Problem:
         lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
         rows = settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
         if rows is None:
-            return JudgedLoop(larger, G, self.plant, self.states, mine.states)
+            return ClosedLoop(larger, G, self.plant, self.states, mine.states)
         stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
         own = np.setdiff1d(np.arange(len(self.plant.A)), lacking)
         C = larger.C[:, stay] + larger.C[:, lacking] @ rows
         short = replace(larger, A=larger.A[np.ix_(stay, stay)], B=larger.B[stay], Bw=larger.Bw[stay], C=C)
         p = self.plant.unmeasured
         base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
-        return JudgedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
+        return ClosedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
 
-    def _over_datum(self, judged: JudgedLoop, of_heights: Array) -> JudgedLoop:
+    def _over_datum(self, judged: ClosedLoop, of_heights: Array) -> ClosedLoop:
         """Returns the loop of a law that measures heights; unchanged if it is not stable."""
         from synth.controller.integral_action import RETURNS
 

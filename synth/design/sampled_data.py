@@ -197,7 +197,7 @@ def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **
     """Returns the law and the remarks of the design for the plant of a level, as for any discrete plant."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
-        states = *states, *(f"force_{k + 1}_of_{held.remembered}_before" for k in range(held.remembered) for _ in range(m))
+        states = *states, *(f"force_{k + 1}_of_{held.stored_forces}_before" for k in range(held.stored_forces) for _ in range(m))
     found = design(
         replace(
             problem,
@@ -289,7 +289,7 @@ def _static(problem: DesignProblem) -> DesignResult:
     """
     held = problem.sampled
     assert held is not None, "a sampled loop"
-    (n, m), late = held.plant.B.shape, held.remembered
+    (n, m), late = held.plant.B.shape, held.stored_forces
     if n + m * late > MOST_STATES:
         raise TooLargeError(
             f"a delay of {late} samples gives the loop {n + m * late} states, and sampled designs allow at most {MOST_STATES}; "
@@ -416,7 +416,7 @@ def _gain(
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(held, rms=None)
-    if held.remembered:
+    if held.stored_forces:
         with contextlib.suppress(DesignError):
             undelayed, _ = two_steps(quiet.at_once, near, None)
     try:
@@ -488,7 +488,7 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
         DesignError: a step has no solution, or a path could not be followed.
     """
     rows, (n, m) = held.rows, held.plant.B.shape
-    size = n + m * held.remembered
+    size = n + m * held.stored_forces
     fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two-step method for sampled loops")
     level, path = _level(held, state_path, near)
     if len(rows) == size:
@@ -505,7 +505,7 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
     second_step(_follows(path[-1].X, rows))
     if undelayed is not None:
         _, of_state = _level(held.at_once, state_path, level)
-        both = np.vstack([_follows(of_state[-1].X, held.plant.Cy), *[undelayed] * held.remembered])
+        both = np.vstack([_follows(of_state[-1].X, held.plant.Cy), *[undelayed] * held.stored_forces])
         second_step(both @ np.linalg.inv(rows @ both))
     for start in reversed(path[:-1]):
         if not ends:

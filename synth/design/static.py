@@ -190,36 +190,38 @@ class GainSearch:
     def refined(self, two_steps: DesignResult) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""
         if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * HEATS[0][2]:
-            return self.admitted(self.landscape.point(two_steps.gain), "the two steps")
+            return self.feasible_candidates(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, None, two_steps.gain).gain
         except DesignError:  # stable by its proof, but for the landscape's rounding not
             return []
-        return self.admitted(self.landscape.point(gain), "the two steps, refined")
+        return self.feasible_candidates(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
         """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
         sampled = survey(self.landscape, self.limit)
-        candidates = self.admitted(np.zeros_like(self.limit), "no control")
+        candidates = self.feasible_candidates(np.zeros_like(self.limit), "no control")
         for x in state_feedback_start(self.landscape, (1 + NEAR) * self.enough):
-            candidates += self.admitted(x, "a Riccati equation of the state feedback")
+            candidates += self.feasible_candidates(x, "a Riccati equation of the state feedback")
         candidates += [
-            each for x in sampled for each in self.admitted(x, f"a random gain of {10 ** np.floor(np.log10(abs(x).max())):.0e}")
+            each
+            for x in sampled
+            for each in self.feasible_candidates(x, f"a random gain of {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
         alone = np.isinf(self.rival)
         numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)
         if len(self.plant.A) > LARGE:
             for x in projected_starts(self.landscape):
-                candidates += self.admitted(x, "a projected state feedback")
+                candidates += self.feasible_candidates(x, "a projected state feedback")
             numbers = range(0 if candidates else MANY)
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
-                candidates += self.admitted(x, "a stabilising gain")
+                candidates += self.feasible_candidates(x, "a stabilising gain")
             if candidates or numbers.stop >= most or not alone:
                 return candidates
             numbers = range(numbers.stop, most)
 
-    def admitted(self, x: Array, origin: str) -> list[Candidate]:
+    def feasible_candidates(self, x: Array, origin: str) -> list[Candidate]:
         """A candidate, if the point is stable within the limit."""
         x = np.clip(self.alike(self.landscape, x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
@@ -283,7 +285,7 @@ class GainSearch:
         moved: list[Candidate] = []
         with up_to_rounding():  # of a loop on the border of stability
             x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
-            moved = self.admitted(x, candidate.origin)
+            moved = self.feasible_candidates(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)
 
     def reached(self, candidate: Candidate) -> bool:

@@ -164,7 +164,7 @@ class Local(Factored):
 
 
 class Derivatives(Protocol):
-    """A barrier with derivatives: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
+    """A barrier with derivatives: `Barrier`, `WithLogTerm`, or `structured_barrier.StructuredBarrier`."""
 
     def at(self, p: Array) -> Factored | None:
         """Returns the derivatives at a point, or None outside the feasible set."""
@@ -172,7 +172,7 @@ class Derivatives(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Raised:
+class WithLogTerm:
     """A barrier plus weight * log(p_N), where the last unknown p_N must be positive.
 
     At its maximum the barrier alone has the slope -weight / p_N along p_N.
@@ -196,7 +196,7 @@ class Raised:
 
 @dataclass(frozen=True, eq=False)
 class RaisedLocal(Factored):
-    """Derivatives of a `Raised` barrier at a point; `triangle` is that of the barrier without the logarithm.
+    """Derivatives of a `WithLogTerm` barrier at a point; `triangle` is that of the barrier without the logarithm.
 
     Attributes:
         alone: derivatives without the logarithm.

@@ -29,7 +29,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.threads import one_thread
 from synth.analysis.certificate import bounded_real_matrix
-from synth.lmi.barrier import Barrier, Derivatives, Factored, Raised, boundary, newton
+from synth.lmi.barrier import Barrier, Derivatives, Factored, WithLogTerm, boundary, newton
 from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
 from synth.lmi.unobservable import UnobservableReduction, remove_unobservable
 from synth.plant.generalized import Plant, check_posed, fed_back
@@ -68,7 +68,7 @@ class CentralPoint:
         proof: an X that proves the bound if X itself does not, because of states that are unobservable in z; else None.
     """
 
-    given_as = "a point of a central path"
+    public_name = "a point of a central path"
 
     X: Array
     K: Array
@@ -308,13 +308,13 @@ class _Path:
                 raise DesignError(f"the central path could not be followed below mu = {rest:.1e}: {BREAKS_OFF}")
             rest, (barrier, start, here) = following, moved
 
-    def _entered(self, rest: float) -> tuple[Raised, Array, Factored | None]:
+    def _entered(self, rest: float) -> tuple[WithLogTerm, Array, Factored | None]:
         """Returns the barrier of a rest in the current coordinates, the current point, and its derivatives if feasible."""
-        barrier, n, m = Raised(self._barrier(), 1 / rest), self.basis.n, self.basis.m
+        barrier, n, m = WithLogTerm(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
 
-    def _moved(self, p: Array, rest: float) -> tuple[Raised, Array, Factored] | None:
+    def _moved(self, p: Array, rest: float) -> tuple[WithLogTerm, Array, Factored] | None:
         """Changes to the coordinates of a point and returns `_entered`; None, unchanged, if rounding makes it infeasible."""
         before = self.V, self.K, self.basis, self.eta
         X, Y, self.eta = self.basis.unpack(p)

@@ -88,7 +88,7 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
     observer = SynthesisInequality.of(dual) if dual is not None else None
     other = observer if observer is not None and len(observer.J) else None  # else y and its derivatives give all states
     if dual is not None:
-        best = max(best, _unfelt(plant, dual), key=_gamma)
+        best = max(best, _unmeasured_disturbance_bound(plant, dual), key=_gamma)
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
     if other is None and reached:
         return best
@@ -143,7 +143,7 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
     return LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
 
 
-def _unfelt(plant: Plant, dual: Plant) -> LowerBound:
+def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the bound from what q measurements do not feel at rest, or at infinity, and from what no force moves at infinity.
 
     It is 0 if the plant is discrete.

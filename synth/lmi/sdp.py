@@ -73,7 +73,7 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
         border = step**0.5 * cp.vstack([top, low])
         F = cp.bmat([[F, border], [border.T, -X]])
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
-    answered(problem)
+    solve_sdp(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
     # Clarabel's tolerance of 1e-8, relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
@@ -84,7 +84,7 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
     return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
 
 
-def answered(problem: Any) -> None:
+def solve_sdp(problem: Any) -> None:
     """Solves a `cvxpy.Problem` by Clarabel. The caller checks the values of its unknowns.
 
     Args:

@@ -72,7 +72,7 @@ class Plant:
             entries beyond `SMALLEST` or `LARGEST`; or dt or weights is no such number. The message names it.
     """
 
-    given_as = "a GeneralizedPlant"
+    public_name = "a GeneralizedPlant"
 
     A: Array
     B: Array

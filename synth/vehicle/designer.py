@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, at_the_door
+from models.common.checks import AT_LEAST_ONE, validated
 from models.common.errors import InputError
 from models.laws.combinations import check_command, goes
 from models.laws.law_structure import DesignRequest
@@ -93,7 +93,7 @@ class Designer:
     With `search` given gains are compared with each vehicle's own best, too, which takes designs (`verify_specifications`).
     """
 
-    @at_the_door
+    @validated
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
@@ -156,7 +156,7 @@ class Designer:
             self._sampled_bounds[key] = find_sampled_bound(held_problem(self.vehicle, entry), near)
         return self._sampled_bounds[key]
 
-    @at_the_door
+    @validated
     def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
@@ -169,7 +169,7 @@ class Designer:
             DesignError: the controller could not be designed, or its certificate fails. A gain from the file is reported
                 unchanged. If the two steps fail, descent on the norm continues; see `Controller.fallback_method`.
         """
-        if (own := self.vehicle.driven_by(name)) is not self.vehicle:
+        if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
             return self._pushing.design(name, zero_l, on_progress)
         try:
@@ -233,7 +233,7 @@ class Designer:
             return replace(problem, plant=self.plant.measured(np.eye(len(self.plant.A))), method="state")
         return problem
 
-    @at_the_door
+    @validated
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
         """Certifies a known law from measurements to forces under any name, unchanged.
 
@@ -272,7 +272,7 @@ class Designer:
             wrong = (changed,) if (changed := changed_since(self.vehicle, entry)) else wrong
         return replace(controller, false_claims=wrong)
 
-    @at_the_door
+    @validated
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
 

@@ -8,28 +8,28 @@ import pytest
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.report.contents import report, report_object
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from sim.report.worker_processes import WorkerPool
 from synth.vehicle.designer import Designer
 
 
-def nothing() -> Scope:
+def nothing() -> Subject:
     """Returns what pieces of these tests are about."""
     paper = read_vehicle("quarter_car")
-    return Scope(paper, Designer(paper), (), 1e-3, True, print)
+    return Subject(paper, Designer(paper), (), 1e-3, True, print)
 
 
-def where(scope: Scope) -> int:
+def where(scope: Subject) -> int:
     return os.getpid()
 
 
-def ends_elsewhere(scope: Scope, process: int) -> str:
+def ends_elsewhere(scope: Subject, process: int) -> str:
     if os.getpid() != process:
         os._exit(3)
     return "done here"
 
 
-def fails(scope: Scope) -> str:
+def fails(scope: Subject) -> str:
     raise InputError("correct it")
 
 
@@ -38,7 +38,7 @@ def test_the_page_is_the_same(paper):
     """A report says the same whether this process does all of it or another one does what it can."""
     designer, told = Designer(paper), []
     controllers = (designer.design("passive"), designer.design("I"))
-    scope = Scope(paper, designer, controllers, 4e-3, True, told.append)
+    scope = Subject(paper, designer, controllers, 4e-3, True, told.append)
     pages = []
     for count in (0, 1):
         with WorkerPool(count) as pool:

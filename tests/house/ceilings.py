@@ -94,7 +94,7 @@ export: C99, fixed point, FMI, MATLAB                          3272   1455     9
 full-order H-infinity                                           915    741    114
     synth/design/full_order/{__init__,full_order,riccati,stable}.py docs/how-to/dynamic-controllers.md
     tests/*/test_{full_order,named_designs,stable_law}.py
-static search, descent, refine                                 2091    750      0
+static search, descent, refine                                 2095    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
 two steps, LMI path                                            2690   1012     35
@@ -133,7 +133,7 @@ gallery of papers                                               719    343     4
 margins in physics                                             1934    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-frequency, sweep                                               1740    602     36
+frequency, sweep                                               1743    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             2753   1276      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py

@@ -76,9 +76,9 @@ def test_pieces_make_the_curve(seed):
 
 
 def test_it_has_left_its_line_where_it_says():
-    """`left_at` is where the difference from the line at rest is a tenth of the largest force, and nothing nearer is."""
+    """`departures_at` is where the difference from the line at rest is a tenth of the largest force, and nothing nearer is."""
     curve = damper([-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], [-1350, -750, -262.5, 0, 262.5, 1000, 1900])
-    for side, at in zip((-1, 1), curve.left_at, strict=True):
+    for side, at in zip((-1, 1), curve.departures_at, strict=True):
         assert side * at > 0
         off = np.abs(curve(np.linspace(0, at, 100)) - curve.slope * np.linspace(0, at, 100))
         assert off[-1] == pytest.approx(LEAVES * 1900, rel=1e-12)

@@ -25,7 +25,7 @@ from sim.drive.case import Case, batch_of
 from sim.inspect.__main__ import main as inspect
 from sim.linear.sampled_response import continuous_response
 from sim.observers.steps import EXACT
-from sim.runs.run import Run, driver_again, run_controllers, sample_times
+from sim.runs.run import Run, replay_driver, run_controllers, sample_times
 from sim.runs.start import start_effect
 from synth.vehicle.designer import Designer, design
 from tests.support.commands import prose, refused
@@ -146,7 +146,7 @@ def test_points_closer_than_a_step_do_not_alias(join):
         # Holding means turns a wave of w rad/s into 1 - (w h)^2 / 24: 1e-3 at 150 rad/s, above which a hub hardly moves.
         assert np.abs(run.physics[name] - run.continuous[name]).max() < 2e-3 * run.continuous.scale(name), name
     on = run.prediction.input
-    batch = batch_of([Case(vehicle, driver_again(run.prediction, on.time), road)], on.time, [0], streamed=True)  # of a campaign
+    batch = batch_of([Case(vehicle, replay_driver(run.prediction, on.time), road)], on.time, [0], streamed=True)  # of a campaign
     assert batch.midway[:, 0] == pytest.approx(on.midway, abs=1e-15)  # times are rounded otherwise
     t, h = np.arange(-0.01, road.duration + 0.01, 0.0137), 7e-3
     fine = (np.arange(20000) + 0.5) / 20000 * h - h / 2  # midpoints: lines and cubics to (h / 20000)^2 beside kinks

@@ -73,7 +73,7 @@ def test_a_step_and_the_ride_of_the_person_have_their_closed_values():
     assert vehicle.ride_points.all == ("seat_acceleration", "sprung_acceleration")
     assert expected_ride(vehicle, Designer(vehicle).design("passive")) == pytest.approx(0.7822, abs=5e-5)
     start = 0.05 * model.jump[:, 0]
-    wheel = vehicle.kind.whole_model(vehicle.parameters).of(["unsprung_acceleration"]).C @ start
+    wheel = vehicle.kind.full_model(vehicle.parameters).of(["unsprung_acceleration"]).C @ start
     assert abs(wheel[0]) == pytest.approx(166.667, rel=1e-5)
     assert np.abs(start).max() == pytest.approx(0.05)
 

@@ -16,7 +16,7 @@ from models.kinds.seat import Seat
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import DesignRequest, PidSection
-from models.parts.element import Place, element_kinds
+from models.parts.element import PartSite, element_kinds
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
@@ -67,7 +67,7 @@ SECTIONS = {  # each with a table that is right
     SurfaceTable: {"velocity": [-1.0, 1.0], "deflection": [-0.1, 0.1], "force": [[-9.0, -8.0], [9.0, 8.0]]},
     RatioSection: {"deflection": [-0.1, 0.1], "ratio": [0.6, 0.7]},
     VehicleFile: {"type": "quarter_car", "parameters": {}, "performance": {}},
-    Place: {"kind": "hydraulic_stop"},
+    PartSite: {"kind": "hydraulic_stop"},
     **ELEMENTS,
     FilterSection: {"numerator": [1.0], "denominator": [2.0, 1.0]},
     WeightSection: {"weight": 2.0, "numerator": [1.0], "denominator": [2.0, 1.0]},

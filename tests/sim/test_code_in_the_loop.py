@@ -19,7 +19,7 @@ from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
 from sim.sweep import main as sweep
@@ -255,7 +255,7 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=driver)
+    scope = Subject(vehicle, designer, (own,), STEP, True, print, exported=driver)
     assert (EXPORTED, "") in pieces_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)

@@ -18,7 +18,7 @@ from sim.margins import main
 from sim.studies.stability import edge
 from sim.studies.stability.edge import rates_of_runs
 from sim.studies.stability.margin_search import find_all, implemented_searches, loops_of
-from sim.studies.stability.simulated_loop import Trial, simulated_loop
+from sim.studies.stability.simulated_loop import LoopCase, simulated_loop
 from sim.studies.stability.step_derivative import step_derivative
 from synth.controller.stability_margins import margins
 from synth.plant.loop import HoldInterval, Loop
@@ -40,10 +40,10 @@ def test_the_simulated_loop_is_the_implemented_one(paper, lag, how):
     """
     vehicle = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=lag), implementation=Implementation(**how))
     controller = certify_given(vehicle, "c", ["sprung_velocity", "sprung_acceleration"], FILTERED)
-    loop = simulated_loop(step_derivative(vehicle, 2e-3), Trial(vehicle, controller))
+    loop = simulated_loop(step_derivative(vehicle, 2e-3), LoopCase(vehicle, controller))
     expected = math.log(sampled_radius(vehicle, controller, 2e-3)) / 2e-3
     assert loop.rate == pytest.approx(expected, rel=1e-5)  # RK4's, of a wheel at 65 rad/s
-    (rate,) = rates_of_runs([Trial(vehicle, controller)], [loop])
+    (rate,) = rates_of_runs([LoopCase(vehicle, controller)], [loop])
     assert rate == pytest.approx(loop.rate, rel=1e-6)  # geometry and rounding
 
 
@@ -53,7 +53,7 @@ def test_some_forces_are_delayed(actuators, how):
     vehicle = dataclasses.replace(read_vehicle("half_car"), implementation=Implementation(**how))
     controller, mine = designed(vehicle, "I"), np.isin([0, 1], actuators)
     delayed, rest = (dataclasses.replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
-    trial = Trial(vehicle, delayed, None if all(mine) else rest)
+    trial = LoopCase(vehicle, delayed, None if all(mine) else rest)
     loop = simulated_loop(step_derivative(vehicle, 2e-3), trial)
     assert rates_of_runs([trial], [loop]) == [pytest.approx(loop.rate, rel=1e-6)]
 
@@ -61,7 +61,7 @@ def test_some_forces_are_delayed(actuators, how):
 def test_a_run_that_is_not_the_loop_is_seen(paper, designer):
     """A run that is a sample later than its loop does not keep the rate of the mode from which it starts: nor its sign, here."""
     late = [dataclasses.replace(paper, implementation=Implementation(delay=delay)) for delay in (173, 174)]
-    trials, step = [Trial(vehicle, designer.design("II")) for vehicle in late], step_derivative(paper, 5e-4)
+    trials, step = [LoopCase(vehicle, designer.design("II")) for vehicle in late], step_derivative(paper, 5e-4)
     loops = [simulated_loop(step, trial) for trial in trials]
     assert [loop.grows for loop in loops] == [False, True]
     assert [rate > 0 for rate in rates_of_runs(trials, loops)] == [False, True]

@@ -174,9 +174,9 @@ def test_force_actuators_beside_dampers():
         Designer(both).design("firm").certificate.norm.value
         == Designer(parse_vehicle(CORNER)).design("firm").certificate.norm.value
     )
-    assert both.for_all(["passive", "leaky"]).dampers == {}
+    assert both.with_common_actuators(["passive", "leaky"]).dampers == {}
     with refused("leaky drive force actuators", "sky semi-active dampers"):
-        both.for_all(["leaky", "sky"])
+        both.with_common_actuators(["leaky", "sky"])
 
 
 def test_a_payload_has_inertia():

@@ -79,8 +79,8 @@ class Runs:
         return np.stack([one.qvel for one in self.recordings])
 
     @property
-    def ran_away(self) -> Array:
-        return np.array([one.response.ran_away for one in self.recordings])
+    def law_diverged(self) -> Array:
+        return np.array([one.response.law_diverged for one in self.recordings])
 
     @property
     def requested_force(self) -> Array:

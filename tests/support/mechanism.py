@@ -118,7 +118,7 @@ class Mechanism:
         inertia = [p[("pitch_inertia", "roll_inertia")[i - 1]] for i in self.turns]
         self.x, self.y, self.mass, self.load, self.arms, self.bars, self.inertia = x, y, mass, load, arms, bars, inertia
         self.unsprung, self.tyre, self.rubber = each("unsprung_mass"), each("tyre_stiffness"), each("tyre_damping")
-        self.k, self.c, self.guided, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
+        self.k, self.c, self.has_axis, self.forces = 1 + len(inertia), len(corners), rolls or pitches, forces
         self.inertance, self.n = inertance, self.k + self.c + ("seat_mass" in p)
 
     def of_seat(self, q):
@@ -178,7 +178,7 @@ class Mechanism:
     def lengths(self, q):
         """Returns deflections of the suspensions, heights of the hubs, and angles of the bars, shape (T, 2 c + bars)."""
         theta, phi, hubs = *(one[:, None] for one in self.angles(q)), q[:, self.k : self.k + self.c]
-        if self.guided or self.k == 1:
+        if self.has_axis or self.k == 1:
             d = q[:, :1] - theta * self.x + phi * self.y - hubs
         else:
             over = np.sin(phi) * self.y

@@ -15,7 +15,7 @@ from models.common.errors import InputError
 from models.laws.linear import static_law
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.report.front import front_section, measure
-from sim.report.scope import Scope
+from sim.report.scope import Subject
 from synth.__main__ import main
 from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of
@@ -251,7 +251,7 @@ def test_report(monkeypatch, few):
     monkeypatch.setattr("sim.report.front.front", lambda vehicle, name, axes, *_: replace(few, axes=axes))
     monkeypatch.setattr(synth.vehicle.trade_off.front, "MARKED", 2)  # each is driven over two sinusoids
     designer = Designer(few.vehicle)
-    scope = Scope(few.vehicle, designer, (designer.design("I"),), 2e-3, True, lambda text: None, front="ride:travel")
+    scope = Subject(few.vehicle, designer, (designer.design("I"),), 2e-3, True, lambda text: None, front="ride:travel")
     section = front_section(scope)
     (table,), (figure,) = section.tables, section.figures
     norms = few.values[few.marked]
@@ -271,7 +271,7 @@ def test_report(monkeypatch, few):
 @pytest.mark.attack
 def test_mujoco_tends_to_the_norm(few):
     """The gain of a design in MuJoCo tends to its norm with the first power of the step over which forces are held."""
-    scope = Scope(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
+    scope = Subject(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
     off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
     assert 0 < abs(off[1]) < 0.002
     assert off[0] / off[1] == pytest.approx(2, rel=0.1)  # the square of the step is left

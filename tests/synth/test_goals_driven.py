@@ -8,7 +8,7 @@ import pytest
 from models.vehicle.vehicle import read_vehicle
 from sim import bump, envelope
 from sim.campaign import __main__ as campaign
-from sim.command.comparison import say_false_claims
+from sim.command.comparison import warn_invalid_certificates
 from sim.inspect.__main__ import main as inspect
 from synth.__main__ import main as synth
 from synth.analysis.specification import Specification
@@ -64,9 +64,9 @@ def test_said_by_a_campaign(vehicles, tmp_path, capsys):
 def test_of_a_design_too(designer, capsys):
     """The promises that are said are the design's own."""
     controller = designer.design("II")
-    say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, at_most=7.0),))])
+    warn_invalid_certificates([replace(controller, specifications=(Specification("norm", 6.0, at_most=7.0),))])
     assert capsys.readouterr().err == ""
-    say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
+    warn_invalid_certificates([replace(controller, specifications=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
     assert "controller 'II' does not meet its goals" in capsys.readouterr().err
 
 

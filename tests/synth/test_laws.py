@@ -20,7 +20,7 @@ from sim.margins import main
 from sim.report.designs import gain_table
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.edge import rates_of_runs
-from sim.studies.stability.simulated_loop import Trial, simulated_loop
+from sim.studies.stability.simulated_loop import LoopCase, simulated_loop
 from sim.studies.stability.step_derivative import step_derivative
 from synth.analysis.certificate import Certificate, certify
 from synth.controller.controller import Controller
@@ -163,7 +163,7 @@ def test_growth_that_creeps_is_seen():
     law = LinearLaw(*(np.array(one) for one in ([[-2.0]], [[2.0]], [[stiffness / 3]], [[0.0]])), sample_period=None)
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
     assert gain_crossings(cut_loop(vehicle, one)) == [pytest.approx(3, rel=1e-9)]
-    trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
+    trials = [LoopCase(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
     step = step_derivative(vehicle, 2e-3)
     rates = rates_of_runs(trials, [simulated_loop(step, trial) for trial in trials])
     assert [rate > 0 for rate in rates] == [False, True]

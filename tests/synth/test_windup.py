@@ -177,7 +177,7 @@ def test_a_batch_keeps_what_others_ask_for():
 
     cases = [Case(vehicle, one, BUMP) for one in controllers]
     ends, last = drive(cases, sample_times(vehicle, 1.2, 1e-3), Ends, Last, streamed=True)
-    assert [one.ran_away for one in ends] == [True, False]
+    assert [one.law_diverged for one in ends] == [True, False]
     assert [math.isfinite(one.diverged) for one in ends] == [True, False]
     assert abs(last[0]) <= DIVERGED
     assert abs(last[1]) > 1e10

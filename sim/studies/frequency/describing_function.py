@@ -49,7 +49,7 @@ class DescribingFunction:
     units: tuple[str, ...]
     omega: Array
     diverged: Array
-    ran_away: Array
+    law_diverged: Array
     measured: Array
     outside: Array
     gains: Array
@@ -85,7 +85,7 @@ def describing_function(
     for run in drive_periodic(vehicle, [controller] * len(roads), roads, timestep):
         response, (each,) = run.response, run.on.omega.tolist()
         times.append(response.diverged)
-        away.append(response.ran_away)
+        away.append(response.law_diverged)
         ended |= dict.fromkeys(ended_by(vehicle, response, controller.has_anti_windup))
         if np.isfinite(response.diverged):
             nothing = np.full(len(outputs), np.nan)
@@ -118,7 +118,7 @@ def describing_failures(one: DescribingFunction) -> list[str]:
     """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
     if not np.all(np.isfinite(one.diverged)):
         return []
-    return [f"every run {'broke off' if one.ran_away.any() else 'diverged'}, so nothing is measured"]
+    return [f"every run {'broke off' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:

@@ -214,7 +214,10 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
         outside = SHARE.text(float(np.nanmax(one.outside)))
         text += f" The largest gain is {largest}. At most {outside} of a signal's energy is not at the road's frequency."
     yield Statement(text)
-    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "stopped, because the states of the law overflowed")):
+    for which, how in (
+        (wild & ~one.law_diverged, "diverged"),
+        (one.law_diverged, "stopped, because the states of the law overflowed"),
+    ):
         if which.any() and not wild.all():
             first = WHEN.text(float(np.min(one.diverged[which])))
             yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. These runs are not measured.")

@@ -7,8 +7,8 @@ before and just after the jump. Taken after the jump, it would lack the mean del
 forces cancel most of the spring's and the damper's would then look better by per cents.
 
 The window of all metrics leaves out the transient at the start of a run from rest. The filter of W_k of ISO 2631-1
-(`sim/studies/ride/weighting.py`) is three samples late. Its outputs of the window's last samples follow from a straight line through
-the last two.
+(`sim/studies/ride/weighting.py`) is three samples late. Its outputs of the window's last samples follow from a straight line
+through the last two.
 
 The rms of an acceleration, and rms and peak of a damper's force, use the values on both sides of a jump if the vehicle has
 adjustable dampers.

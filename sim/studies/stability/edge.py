@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.drive import drive
 from sim.observers.registry import observer
-from sim.studies.stability.simulated_loop import SimulatedLoop, Trial, simulated_loop
+from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
 WIDTH = 2e-3  # relative; of the bracket of a real number
@@ -50,7 +50,7 @@ class StabilityEdge:
     """
 
     step: StateSpace
-    trial: Callable[[float], Trial]
+    trial: Callable[[float], LoopCase]
     expected: float
     most: float
     multiple: float = 0.0
@@ -142,7 +142,7 @@ def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], Non
     progress("")
 
 
-def rates_of_runs(trials: Sequence[Trial], loops: Sequence[SimulatedLoop]) -> list[float]:
+def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) -> list[float]:
     """Returns the rate of each run of MuJoCo that starts in the slowest mode of its loop [1/s]; NaN if it moves too little."""
     if not trials:
         return []

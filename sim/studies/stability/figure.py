@@ -14,7 +14,7 @@ from models.vehicle.limits_and_implementation import Implementation
 from sim.linear.nonlinear_elements import at_rest
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import StabilityEdge
-from sim.studies.stability.simulated_loop import Trial
+from sim.studies.stability.simulated_loop import LoopCase
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.loop_of import loop_of, radius
 
@@ -38,7 +38,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
     prompt = loop_of(replace(at_rest(vehicle), implementation=Implementation()), controller, timestep)
     cut = prompt.cut(prompt.forces)
 
-    def rate(trial: Trial) -> float:
+    def rate(trial: LoopCase) -> float:
         if steps := trial.vehicle.implementation.delay * (trial.vehicle.implementation.sample_period is None):
             return math.log(abs(slowest_from_sample_to_sample(cut, int(steps)))) / steps / timestep
         return math.log(radius(loop_of(trial.vehicle, trial.controller, timestep))) / timestep
@@ -78,7 +78,7 @@ def _both(field: Field[float], predicted: float, found: float) -> str:
     return f"predicted: {first}; MuJoCo: {second}"
 
 
-def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[Trial], float], scale: float) -> Panel:
+def _search_panel(title: str, label: str, search: StabilityEdge, rate: Callable[[LoopCase], float], scale: float) -> Panel:
     """The predicted rate over the amount, and that of MuJoCo's step at a few amounts and where it changes its sign."""
     # Far from the margin nothing is to be seen, and the rates are large.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else search.stable

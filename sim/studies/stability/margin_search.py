@@ -15,7 +15,7 @@ from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
 from sim.studies.stability.delayed import slowest_from_sample_to_sample
 from sim.studies.stability.edge import SLOWEST, StabilityEdge, no_progress, search_and_run, smallest_unstable
-from sim.studies.stability.simulated_loop import Trial
+from sim.studies.stability.simulated_loop import LoopCase
 from sim.studies.stability.step_derivative import step_derivative
 from synth.controller.controller import Controller, check_fits
 from synth.controller.loop_of import loop_of, radius
@@ -60,7 +60,7 @@ class GainMargin:
         sampled: Callable[[float], float],
         timestep: float,
         derivative: Callable[[float], StateSpace],
-        trial: Callable[[float], Trial],
+        trial: Callable[[float], LoopCase],
         most: float,
     ) -> "GainMargin":
         """Returns a margin with its searches, not yet run, at the timestep and at finer ones that show the loop's own.
@@ -277,12 +277,12 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     loop = cut_out, rest if rest.law.acts else None
     derivative = partial(step_derivative, vehicle)
 
-    def delayed(amount: float) -> Trial:
-        return Trial(replace(vehicle, implementation=Implementation(delay=round(amount / timestep))), *loop)
+    def delayed(amount: float) -> LoopCase:
+        return LoopCase(replace(vehicle, implementation=Implementation(delay=round(amount / timestep))), *loop)
 
-    def sampled_at(period: float) -> Trial:
+    def sampled_at(period: float) -> LoopCase:
         on = replace(vehicle, implementation=Implementation(sample_period=period))
-        return Trial(on, controller) if predicted.all_sampled else Trial(on, *loop)
+        return LoopCase(on, controller) if predicted.all_sampled else LoopCase(on, *loop)
 
     prompt = replace(vehicle, implementation=Implementation())
 
@@ -317,9 +317,9 @@ def implemented_searches(vehicle: Vehicle, controller: Controller, actuators: Se
     predicted, steps_of_period = margins(loop, forces), len(loop.by_step)
     derivative = partial(step_derivative, replace(vehicle, implementation=Implementation()))
 
-    def later(amount: float) -> Trial:
+    def later(amount: float) -> LoopCase:
         steps = round(how.delay * steps_of_period) + round(amount / timestep)
-        return Trial(replace(vehicle, implementation=replace(how, delay=steps / steps_of_period)), controller)
+        return LoopCase(replace(vehicle, implementation=replace(how, delay=steps / steps_of_period)), controller)
 
     def grows(amount: float) -> bool:
         return radius(loop_of(later(amount).vehicle, controller, timestep)) > 1
@@ -357,15 +357,15 @@ def _gain_margins(
         forces = [vehicle.linear_model.inputs[i] for i in actuators]
         return gain_crossings(loop_of(vehicle, controller, timestep, taylor4).cut(forces))
 
-    def with_gain(factor: float) -> Trial:
-        return Trial(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
+    def with_gain(factor: float) -> LoopCase:
+        return LoopCase(vehicle, replace(controller, law=controller.law.scaled(np.where(mine, factor, 1.0))))
 
     for power, own in ((1, predicted.gain), (-1, predicted.gain_lower)):
         # A factor to this power is an amount above 1: how many times more gain, or how many times less.
         def amount(step: float, k: int = power) -> float:
             return min((factor**k for factor in sampled(step) if factor**k > 1), default=math.inf)
 
-        def trial(amount: float, k: int = power) -> Trial:
+        def trial(amount: float, k: int = power) -> LoopCase:
             return with_gain(amount**k)
 
         yield GainMargin.posed(own**power if own else math.inf, amount, timestep, derivative, trial, LARGEST_FACTOR)

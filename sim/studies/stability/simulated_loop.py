@@ -13,7 +13,7 @@ from scipy.sparse.linalg import ArpackError
 
 from models.common.arrays import Array
 from models.laws.linear import static_law
-from models.vehicle.limits_and_implementation import steps_held
+from models.vehicle.limits_and_implementation import hold_intervals
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import State
 from sim.studies.stability.delayed import mode, slowest_from_sample_to_sample
@@ -28,7 +28,7 @@ ACTING = "acting_{}"  # names of the states that are acting forces
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class LoopCase:
     """Loop in MuJoCo.
 
     Attributes:
@@ -103,7 +103,7 @@ class SimulatedLoop:
         return State(*(np.real(scale * part) for part in parts))
 
 
-def simulated_loop(step: StateSpace, trial: Trial) -> SimulatedLoop:
+def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
     """Returns a loop of the vehicle of this step, see `step_derivative`.
 
     Raises:
@@ -112,7 +112,7 @@ def simulated_loop(step: StateSpace, trial: Trial) -> SimulatedLoop:
     how, timestep = trial.vehicle.implementation, step.dt
     assert timestep is not None
     delay = math.floor(how.delay)
-    hold = tuple(HoldInterval(steps * timestep, late - delay) for steps, late in steps_held(how, timestep))
+    hold = tuple(HoldInterval(steps * timestep, late - delay) for steps, late in hold_intervals(how, timestep))
     plant = _held_forces(step, trial.undelayed)
     loop = Loop(plant, trial.controller.law, trial.controller.measured, step.inputs, hold, timestep)
     return SimulatedLoop(loop, delay, sum(name in step.inputs for name in step.states))

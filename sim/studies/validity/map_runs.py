@@ -114,7 +114,7 @@ def _result(controller: Controller, run: Recording) -> MapRun:
         requested = np.sum((np.nan_to_num([response[one.force] for one in vehicle.parts.adjustable]) + lost) ** 2)
         missing = math.sqrt(np.sum(lost**2) / requested) if requested > 0 else 0.0
     ended = float(times.min()) < diverged
-    broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if response.ran_away else DIVERGENCE
+    broke_off = "" if math.isinf(diverged) else LAW_OVERFLOW if response.law_diverged else DIVERGENCE
     linear = sampled_responses(controller, [RoadInput(vehicle.linearised, run.case.road, run.input.time)]).run(0)
     return MapRun(
         float(np.nanmax(shares(vehicle, controller, response))),

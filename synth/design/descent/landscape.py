@@ -90,7 +90,7 @@ class Cuts:
         )
 
 
-def climbed(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
+def refine_maxima(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
     """Returns points nearer to maxima between frequencies: the top of a parabola through three points is the next middle.
 
     Args:
@@ -406,7 +406,9 @@ class Landscape:
         left = np.where(top > 0, omega[top - 1], -omega[min(1, len(omega) - 1)])
         middle, right = omega[top], omega[np.minimum(top + 1, len(omega) - 1)]
         right = np.where(right > middle, right, middle * 1.1 + (middle == 0))
-        return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, modes), left, middle, right, gains[top])), beyond]))
+        return np.unique(
+            np.concatenate([np.abs(refine_maxima(partial(self._gains, modes), left, middle, right, gains[top])), beyond])
+        )
 
     def moving(self, omega: Array) -> Array:
         """Returns True for frequencies at which a peak moves with the gain: at zero it stays, as the gain is even."""

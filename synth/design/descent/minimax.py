@@ -275,7 +275,7 @@ class _Walk:
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
         order = np.argsort(-pairs)[:MOST_PAIRS]
-        t, some = lowest_point(pairs[order], along[order], self.hessian, self.M, self.x, self.minimax.limit)
+        t, some = solve_subproblem(pairs[order], along[order], self.hessian, self.M, self.x, self.minimax.limit)
         weights = np.zeros(len(pairs))
         weights[order] = some / (some.sum() or 1.0)
         table = weights.reshape(len(v), -1)
@@ -377,7 +377,7 @@ class _Walk:
         return total
 
 
-def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
+def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
     """Returns the t that minimises max_i (values_i + slopes_i t) + t' hessian t / 2, |x + M t| <= limit, and the cuts' weights.
 
     As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum, h +

@@ -50,7 +50,7 @@ class BoundedSignal:
         name: description of the bound.
     """
 
-    given_as = "a bounded signal"
+    public_name = "a bounded signal"
 
     c: Array
     g: Array

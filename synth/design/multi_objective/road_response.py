@@ -55,7 +55,7 @@ class RoadLoop:
         name: description of the signal and the road.
     """
 
-    given_as = "a plant on a road"
+    public_name = "a plant on a road"
 
     plant: Plant
     Br: Array
