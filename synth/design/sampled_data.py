@@ -374,7 +374,7 @@ def searched(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
     search = GainSearch(plant, LARGEST_GAIN, 0.0, work=work)
     candidates = search.starts()
     if np.isfinite(norm):
-        candidates += search.admitted(search.landscape.point(K), "a known gain")
+        candidates += search.feasible_candidates(search.landscape.point(K), "a known gain")
     if not candidates:
         return end
     other = search.landscape.gain(search.best(candidates).x)

@@ -347,7 +347,7 @@ class _Search:
         for limit in LIMITS:
             search = self.of(posed, states, limit)
             points = [(search.landscape.point(posed.gain(law)), name) for law, name in starts]
-            stable = sorted((each for point in points for each in search.admitted(*point)), key=lambda each: each.norm)
+            stable = sorted((each for point in points for each in search.feasible_candidates(*point)), key=lambda each: each.norm)
             names = dict.fromkeys(name for _, name in starts)
             candidates = [each for name in names for each in [one for one in stable if one.origin == name][:ENTERED]]
             candidates = candidates or (search.starts(sought) if sought else [])

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.norm import highest, level_crossings
-from synth.design.descent.landscape import NEAR, Landscape, climbed
+from synth.design.descent.landscape import NEAR, Landscape, refine_maxima
 from synth.plant.discrete import mapped_frequency
 from synth.plant.generalized import Plant
 
@@ -86,7 +86,7 @@ class BandLandscape(Landscape):
         top = np.flatnonzero((gains >= level) & (gains >= around[:-2]) & (gains >= around[2:]))
         ends, top = omega[top[(top == 0) | (top == len(omega) - 1)]], top[(top > 0) & (top < len(omega) - 1)]
         sides = omega[top - 1], omega[top], omega[top + 1]
-        inside = climbed(partial(self._gains, modes), *sides, gains[top]) if len(top) else omega[:0]
+        inside = refine_maxima(partial(self._gains, modes), *sides, gains[top]) if len(top) else omega[:0]
         return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
 
     def moving(self, omega: Array) -> Array:
