@@ -258,4 +258,4 @@ def _words(annotation: Any) -> str:
         every = f"a list in which each item is {_words(inner[0])}"
         return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else every
     # A type that is not public has a class attribute `public_name`, which describes where its values come from.
-    return vars(outer).get("given_as", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")
+    return vars(outer).get("public_name", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")
