@@ -24,7 +24,7 @@ TABLE = """
 what all commands share: files, options, checks, tables of numbers   3051   2138      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
-vehicle file, types, equations, MJCF                           6056   2167    332
+vehicle file, types, equations, MJCF                           6056   2168    332
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} models/laws/{__init__,law,linear}.py sim/new.py
     models/kinds/{__init__,car,kind,linear_model,motion,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
     models/vehicle/{__init__,controllers,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
