@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     given = remarked(read_vehicle(options.vehicle))
     name = one_chosen(given.controller_names, options.controller)
-    vehicle = given.with_actuators_of(name)
+    vehicle = given.with_actuators_of(name).starting()  # the map is of bumps that meet a vehicle at rest
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
