@@ -23,7 +23,7 @@ MOST_TRIALS = 60  # of the search for that state
 def hardware(vehicle: Vehicle) -> tuple[object, ...]:
     """Returns a key that is equal for vehicles with the same model in MuJoCo, whatever their controllers' implementations."""
     curves, ratios, dampers = (one.values() for one in (vehicle.curves, vehicle.kind.ratios, vehicle.dampers))
-    return (*vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
+    return (vehicle.kind.name, *vehicle.parameters.values(), *curves, *ratios, vehicle.limits, *dampers)
 
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
