@@ -143,7 +143,7 @@ measured logs beside runs                                       523    318     9
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
 map of validity                                                1200    369     33
     sim/envelope.py sim/studies/validity/{__init__,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py docs/how-to/envelope.md
-MuJoCo loop                                                    2928   1090     18
+MuJoCo loop                                                    2928   1101     18
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*

@@ -19,6 +19,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.drive.case import Batch, Case
 from sim.drive.drive import drive
 from sim.drive.loop import Block
+from sim.observers.recorder import record
 from tests.support.analysed import simulate
 from tests.support.shared import designed
 
@@ -73,6 +74,16 @@ def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
     for i in (5, 8, 9, 10, 11, 12, 13):
         alone = simulate(vehicles[i : i + 1], given[i : i + 1], roads[i : i + 1], time)
         np.testing.assert_array_equal(alone.response.values[0], together.response.values[i])
+
+
+def test_one_call_drives_cars_of_any_kind():
+    """Cars that cannot be stepped side by side are driven in groups, and each run is that of the car alone, in the cases' order."""
+    cars = [read_vehicle(kind) for kind in ("half_car", "quarter_car", "half_car_roll", "quarter_car", "full_car")]
+    cases = [Case(car, designed(car, "passive"), Bump(height=0.02)) for car in cars]
+    for one, case in zip(record(cases, times(1e-3, 0.2)), cases, strict=True):
+        (alone,) = record([case], times(1e-3, 0.2))
+        assert one.vehicle is case.vehicle
+        np.testing.assert_array_equal(one.response.values, alone.response.values)
 
 
 def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
