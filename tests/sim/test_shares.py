@@ -77,7 +77,7 @@ def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
 
 
 def test_one_call_drives_cars_of_any_kind():
-    """Cars that cannot be stepped side by side are driven in groups, and each run is that of the car alone, in the cases' order."""
+    """Cars that cannot be stepped side by side are driven in groups. Each run is that of the car alone, in the order of cases."""
     cars = [read_vehicle(kind) for kind in ("half_car", "quarter_car", "half_car_roll", "quarter_car", "full_car")]
     cases = [Case(car, designed(car, "passive"), Bump(height=0.02)) for car in cars]
     for one, case in zip(record(cases, times(1e-3, 0.2)), cases, strict=True):
