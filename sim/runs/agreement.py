@@ -121,10 +121,11 @@ class LinearComparison:
     @property
     def coarse(self) -> bool:
         """Returns True if RK4's own error on the linear response is larger than `COARSEST`."""
-        rate, _ = effect_on_states(self.prediction.vehicle)
-        # RK4 turns exp(z) into a polynomial that differs by z^5 / 120, at each of the steps.
-        most = rate * float(self.prediction.time[-1]) * (rate * self.prediction.timestep) ** 4 / 120
-        return most > COARSEST / 4 and any(error > COARSEST for error in self._own_errors.values())
+        rate, prediction = effect_on_states(self.prediction.vehicle)[0], self.prediction
+        # RK4 turns exp(z) into a polynomial that differs by z^5 / 120, at each of the steps. Sharp knots may make more.
+        most = rate * float(prediction.time[-1]) * (rate * prediction.timestep) ** 4 / 120
+        doubtful = most > COARSEST / 4 or prediction.vehicle.parts.nonlinear
+        return doubtful and any(error > COARSEST for error in self._own_errors.values())
 
     @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # of an unstable loop

@@ -151,7 +151,7 @@ MuJoCo loop                                                    2928   1101     1
 linear responses                                                778    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      2939   1061     61
+runs, verdict, their text                                      2940   1061     61
     sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
