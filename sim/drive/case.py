@@ -59,7 +59,7 @@ def inputs_of(cases: Sequence[Case], time: Array) -> list[RoadInput]:
     made = dict[tuple[int, int, bool], RoadInput]()
     for one in cases:
         key = id(one.vehicle), id(one.road), one.earlier
-        made[key] = made.get(key) or RoadInput(one.vehicle, one.road, time, one.earlier)
+        made[key] = one.input or made.get(key) or RoadInput(one.vehicle, one.road, time, one.earlier)
     return [one.input or made[id(one.vehicle), id(one.road), one.earlier] for one in cases]
 
 
@@ -82,7 +82,7 @@ class Batch:
         failures: failures of laws in Python by run: such a run continues without forces. None to raise the first failure.
         numbers: numbers of the runs among all cases, which `failures` has.
         diverged: time at which each run diverged in the blocks so far [s], shape (N,), or infinity.
-        ran_away: True for each of these that diverged by the states of its law alone, see `Block.law_diverged`, shape (N,).
+        law_diverged: True for each of these that diverged by the states of its law alone, see `Block.law_diverged`, shape (N,).
     """
 
     cases: Sequence[Case]

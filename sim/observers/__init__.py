@@ -1,1 +1,1 @@
-"""Signals over time, their differences, and the ends of the linear regime; conversion to pandas and python-control."""
+"""Observers of runs: recorder, ends, twin and growth; steps, commands and energy of a recording."""

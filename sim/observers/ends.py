@@ -19,7 +19,7 @@ class RunEnd:
     Attributes:
         times: first time of each of `REGIME_ENDS` [s], shape (E,), or infinity.
         diverged: time at which the run diverged [s], or infinity.
-        ran_away: True if it diverged by the states of its law alone.
+        law_diverged: True if it diverged by the states of its law alone.
     """
 
     times: Array

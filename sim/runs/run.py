@@ -135,10 +135,10 @@ def run_controllers(
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Response:
     """Returns MuJoCo's response of the passive vehicle: that of one of the runs, or of a new run of what `design` returns."""
-    made = next((run.physics for run in runs if run.controller.name == PASSIVE), None)
+    made, on = next((run.physics for run in runs if run.controller.name == PASSIVE), None), runs[0].prediction.input
     if made is not None:
         return made
-    (passive,) = record([Case(runs[0].vehicle, design(PASSIVE), runs[0].road)], runs[0].prediction.time)
+    (passive,) = record([Case(on.vehicle, design(PASSIVE), on.road, input=on)], on.time)
     return passive.response
 
 
@@ -178,7 +178,7 @@ def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[R
     if not coded:
         return predictions
     ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
-    cases = [Case(one.vehicle, one.controller, one.road, earlier=one.input.earlier) for one in ours]
+    cases = [Case(one.vehicle, one.controller, one.road, input=one.input) for one in ours]
     made, whole = record(cases, predictions[0].time), list(predictions)
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until

@@ -35,7 +35,7 @@ class DescribingFunction:
         units: units of the signals.
         omega: frequencies [rad/s], shape (F,), a run each.
         diverged: time at which each run diverged [s], shape (F,), or infinity; such a run is not measured.
-        ran_away: True for each of these that diverged by the states of its law alone, shape (F,).
+        law_diverged: True for each of these that diverged by the states of its law alone, shape (F,).
         measured: the fundamental, complex, shape (F, p).
         outside: share of an output's energy outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
