@@ -116,7 +116,7 @@ def test_by_formulas(printed):
 
 def test_a_part_of_the_gallery_counts_no_sources(capsys):
     """The number of all sources, and those without numbers, are printed for the whole gallery alone."""
-    assert main(["paper", "mathworks", "--brief"]) == 0
+    assert main(["paper", "textbook", "--brief"]) == 0
     said = prose(capsys.readouterr().out)
     assert "published sources" not in said
     assert "have no numbers" not in said

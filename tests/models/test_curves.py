@@ -4,8 +4,6 @@
 # MuJoCo's bindings carry no type stubs.
 
 import dataclasses
-import json
-import pickle
 import re
 
 import numpy as np
@@ -22,18 +20,16 @@ from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.drive.regime import CURVE, REGIME_ENDS, departures, reached
-from sim.inspect.__main__ import main as inspect
 from sim.inspect.findings import different
-from sim.inspect.log import read_log
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
 from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from sim.studies.validity.regime_map import validity
 from synth.controller.report import OF, ideal_lines
-from synth.vehicle.designer import Designer, design
-from tests.support.analysed import energy, simulate
-from tests.support.commands import attacks, prose, refused
+from synth.vehicle.designer import design
+from tests.support.analysed import simulate
+from tests.support.commands import prose, refused
 from tests.support.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
@@ -151,56 +147,14 @@ def test_a_straight_curve_is_the_linear_vehicle(paper):
         suspension_stiffness="{ deflection = [-0.1, 0.0, 0.1], force = [-1310.0, 0.0, 1310.0] }",
     )
     assert straight.parameters == pytest.approx(paper.parameters, rel=1e-14)
-    time = sample_times(paper, 1.0, 1e-3)
-    for one in run_controllers(straight, [design(straight, name) for name in ("passive", "I")], ROAD, time):
+    time = sample_times(paper, 0.3, 1e-3)
+    for one in run_controllers(straight, [design(straight, "I")], ROAD, time):
         (plain,) = run_controllers(paper, [design(paper, one.controller.name)], ROAD, time)
         for name in plain.physics.names:
             for response in ("physics", "sampled"):
                 a, b = getattr(one, response)[name], getattr(plain, response)[name]
                 assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
         assert np.isinf(one.agreement.ended[CURVE.name])
-
-
-LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
-BY_ACCELERATION = "[controllers.law]\nmeasured = ['sprung_acceleration', 'suspension_velocity']\ngain = [[-80.0, 100.0]]"
-DYNAMIC = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"
-
-
-@pytest.mark.parametrize(
-    ("kind", "more"),
-    [
-        *[("quarter_car", more) for more in (LATE, BY_ACCELERATION, DYNAMIC)],
-        *attacks(
-            [("quarter_car", ""), ("quarter_car", "[limits]\nactuator_bandwidth = 60.0"), ("half_car", ""), ("full_car", "")]
-        ),
-    ],
-    ids=["late", "acceleration", "states", "ideal", "lagging", "half-car", "full car"],
-)
-def test_a_run_agrees_and_says_what_its_curves_did(kind, more):
-    """Physics follows its reference far beyond the line at rest, a quarter-car to rounding; event and share are the signals'."""
-    vehicle = with_curves(kind, more=more, **(BOTH if kind == "quarter_car" else AXLES))
-    time = sample_times(vehicle, 0.4, 1e-3)
-    controllers = [Designer(vehicle).design(name) for name in (("law",) if "controllers" in more else ("passive", "I"))]
-    road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD  # left and right differ
-    for run in run_controllers(vehicle, controllers, road, time):
-        assert run.passed
-        assert run.energy is not None
-        assert run.energy.residual < 1e-5  # measured 3e-7
-        assert np.isinf(run.agreement.until)  # the reference goes on
-        for signal in vehicle.linear_model.outputs if kind == "quarter_car" else ():
-            foretold = run.prediction.integrated
-            assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
-        left, when = departures(vehicle, run.physics), run.agreement.ended[CURVE.name]
-        worst = {}
-        for one in vehicle.parts.with_curve:
-            ending = one.deflection.removeprefix("suspension_deflection")
-            signal = run.physics[f"suspension_velocity{ending}" if one.damps else one.deflection]
-            off = np.abs(one.curve(signal) - one.curve.slope * signal) / np.abs(one.curve.force).max()
-            worst[one.parameter] = np.maximum(worst.get(one.parameter, 0), off)
-        assert left == pytest.approx({name: off.max() for name, off in worst.items()}, rel=1e-9)
-        first = np.flatnonzero(np.max(list(worst.values()), axis=0) >= LEAVES)
-        assert when == (time[first[0]] if len(first) else np.inf)
-        assert np.isfinite(when)
 
 
 SURFACE = "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-900, -1500], [0, 0], [700, 1900]] }"
@@ -235,25 +189,6 @@ def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, na
     (linear,) = run_controllers(read_vehicle(kind), [design(read_vehicle(kind), "passive")], ROAD, time)
     assert "; linear analysis applies over the whole run; energy" in verdict(linear).text
     assert not {"linearisation", "reference"} & {*run_object(linear)}
-
-
-def test_energy_tells_a_curve_that_nobody_wrote_down():
-    """Were a curve's force left out of the balance, that would not balance."""
-    vehicle = with_curves(**BOTH)
-    time = sample_times(vehicle, 1.0, 1e-3)
-    runs = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time)
-    assert energy(vehicle, runs, 0, ROAD).balances
-    for left_out in BOTH:
-        other = dataclasses.replace(vehicle, curves={name: one for name, one in vehicle.curves.items() if name != left_out})
-        assert not energy(other, runs, 0, ROAD).balances
-
-
-def test_a_curve_is_the_same_in_another_process():
-    """The damper's curve of a vehicle that was pickled is that of a damper, and the spring's that of a spring."""
-    vehicle = with_curves(**BOTH)
-    given = [(one.parameter, one.damps) for one in vehicle.parts.with_curve]
-    assert given == [("suspension_stiffness", False), ("suspension_damping", True)]
-    assert [(one.parameter, one.damps) for one in pickle.loads(pickle.dumps(vehicle)).parts.with_curve] == given
 
 
 @pytest.mark.parametrize(
@@ -381,21 +316,17 @@ def test_a_file_that_is_no_curve(tmp_path, name, content, said):
         read_vehicle(tmp_path / "mine.toml")
 
 
-def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
-    """The verdict says when the curve leaves its line and by how much; from the log alone all of it is computed again."""
+def test_a_user_sees_it(tmp_path, capsys):
+    """The verdict says when the curve leaves its line and by how much."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
     arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.3"]
-    assert main([*arguments, "--logs", str(tmp_path / "logs"), "-v"]) == 0
+    assert main([*arguments, "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
-    (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert "suspension_velocity" in json.loads(read_log(log).attachments["result.json"])["runs"][0]["signals"]
     vehicle = read_vehicle(tmp_path / "mine.toml")
     (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.3, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
     assert f"first differs from its line by 10 % of its largest force at {when:.4g} s" in said
     assert f"suspension_damping differs from its linearisation by up to {100 * share:.2g} % of its largest force" in said
-    assert inspect([str(log)]) == 0
-    assert "the log still proves what it claims" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("kind", ["quarter_car", "full_car"])

@@ -3,19 +3,17 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.studies.ride.expected import expect
 from synth.vehicle.designer import Designer
 from tests.models.test_curves_beside import runs, with_tables
-from tests.models.test_semi_active_dampers import BOTH, DAMPER, LATE, QUARTER, check_physics
+from tests.models.test_semi_active_dampers import BOTH, DAMPER, QUARTER
 from tests.support.commands import attacks, refused
 
 SOFT = "{ velocity = [-1.5, -0.6, -0.15, 0.0, 0.15, 0.6, 1.5], force = [-700, -380, -120, 0, 130, 420, 800] }"
@@ -31,24 +29,7 @@ def table(number, v):
     return np.interp(v, TABLES[2 * number], TABLES[2 * number + 1])
 
 
-BUILT = {"": "", "lag": "bandwidth = 100.0\n", "late": LATE}
 # A linear law, those of two values, of any, and of none where the spring's force counts, and each way to be late.
-USUAL = (("sky", "late"), ("hybrid", "lag"), ("pdd", "late"))
-
-
-@pytest.mark.parametrize(
-    ("name", "more"),
-    [
-        *(pytest.param(name, BUILT[how], id=f"{name}-{how}") for name, how in USUAL),
-        *attacks((name, BUILT[how]) for name, how in zip(("passive", "leaky", *NAMES), itertools.cycle(BUILT))),
-    ],
-)
-def test_runs_agree(name, more):
-    """Every step over the knots of both curves is that of RK4 to rounding, and the damper dissipates energy at every sample."""
-    (run,) = runs(QUARTER + LAWS + PAIR + more, name, duration=0.35)
-    check_physics(run)
-
-
 @pytest.mark.parametrize("bend", [1e-12, *attacks([0.0])])
 def test_straight_curves_are_numbers(bend):
     """Two straight tables are c_min and c_max, and two that hardly bend give their numbers to 1e-9, by all the code of curves."""
@@ -113,17 +94,6 @@ def test_the_nominal_setting_is_where_the_parameter_says():
     other = replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3000.0})
     share = (3000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
     np.testing.assert_allclose(other.parts.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("name", ["skyhook_modal", "sky", "skyhook"])
-def test_a_car(name):
-    """A car with curves on one axle, and numbers and a lag on the other, agrees."""
-    laws = "".join(f'[controllers.{law}]\nsemi_active = "{law}"\n' for law in ("skyhook", "skyhook_modal"))
-    text = BOTH.replace("c_min = 300.0\nc_max = 3000.0", f"c_min = {SOFT}\nc_max = {HARD}") + laws
-    (run,) = runs(text, name, road=Bump(0.05, 5.0, 12.5), duration=0.2)
-    check_physics(run)
-    assert [one.damper.pair is None for one in run.vehicle.parts.adjustable] == [False, True]
 
 
 @pytest.mark.parametrize(

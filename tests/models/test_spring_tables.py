@@ -16,7 +16,6 @@ from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.campaign.samples import with_sample
-from sim.inspect.__main__ import main as inspect
 from synth.vehicle.multi_objective import family_of
 from tests.support.commands import prose, refused
 
@@ -39,7 +38,7 @@ def read_with(folder, more, kind="quarter_car", **files) -> Vehicle:
 def driven(folder, capsys):
     """What `sim.bump` prints of the vehicle there, on stdout and stderr."""
     capsys.readouterr()
-    arguments = ["--vehicle", str(folder / "mine.toml"), "--controller", "passive", "--duration", "1", "--logs", str(folder)]
+    arguments = ["--vehicle", str(folder / "mine.toml"), "--controller", "passive", "--duration", "0.3", "--no-logs"]
     assert main(arguments) == 0
     return map(prose, capsys.readouterr())
 
@@ -57,8 +56,8 @@ IN_LIMITS, POSITIVE = '[limits.stop]\nbump = "bump.csv"', STOP.replace("compress
 
 
 @pytest.mark.parametrize(("more", "table"), [('[limits]\nstop = "bump.csv"', STOP), (IN_LIMITS, POSITIVE), (BESIDE, STOP)])
-def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more, table):
-    """Compression, or a stop's travel from 0 on, is minus deflection: its table pushes the body up, and logs prove it."""
+def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, more, table):
+    """Compression, or a stop's travel from 0 on, is minus deflection: its table pushes the body up."""
     vehicle = read_with(tmp_path, more, bump=table)
     d, stops = np.linspace(-0.08, 0.08, 161), vehicle.limits.stops_at("")
     found = Stops(*stops).pull(d, 0 * d) if stops else vehicle.curves["suspension_stiffness"](d) - 14e3 * d
@@ -67,10 +66,6 @@ def test_a_bump_stop_over_compression_pushes_the_body_up(tmp_path, capsys, more,
     (tmp_path / "bump.csv").unlink()
     (tmp_path / "mine.toml").write_text(vehicle.text)
     assert read_vehicle(tmp_path / "mine.toml").limits == vehicle.limits
-    said, _ = driven(tmp_path, capsys)
-    assert "agrees" in said
-    assert stops is None or "(bump stop)" in said
-    assert inspect([str(log) for log in tmp_path.glob("*.mcap")]) == 0
 
 
 def test_stops_of_axles_with_tables_and_strokes(tmp_path):

@@ -14,9 +14,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.bump import main
 from sim.drive.regime import reached
-from sim.inspect.__main__ import main as inspect
 from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note
@@ -24,7 +22,6 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
 from tests.support.analysed import energy, simulate
-from tests.support.commands import prose
 
 BUMP = Bump()
 UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
@@ -102,21 +99,6 @@ def test_a_side_that_is_left_out_has_no_stop():
     assert "bump" not in made["stops"]["suspension_deflection"]
 
 
-def test_a_stop_ends_the_regime_at_its_own_end(paper):
-    """The event comes where the deflection first is at the stop of its side: at 50 mm in bump, at 70 in rebound."""
-    time, road = sample_times(paper, 1.5, 1e-3), Bump(height=0.15, length=2.0, speed=8.0)
-    passive = Designer(paper).design("passive")
-    free = simulate([paper], [passive], [road], time).response.run(0)["suspension_deflection"]
-    for bump, rebound in ((0.05, 0.07), (0.07, 0.05), (0.05, 10.0), (10.0, 0.05)):
-        vehicle = built(f"\n[limits]\nsuspension_stroke = {{ bump = {bump}, rebound = {rebound} }}\nstop_stiffness = 1e5")
-        response = simulate([vehicle], [passive], [road], time).response.run(0)
-        touched = np.flatnonzero((free <= -bump) | (free >= rebound))
-        expected = time[touched[0]] if len(touched) else np.inf
-        assert reached(vehicle, response)[1] == expected
-    assert (free <= -0.05).any()
-    assert (free >= 0.05).any()
-
-
 def test_alike_stops_are_one_spring_as_before():
     """Stops given for each side that are the same are the model that one number gives, bit for bit."""
     plain = "\n[limits]\nsuspension_stroke = 0.05\nstop_stiffness = 1e5"
@@ -182,13 +164,3 @@ def test_an_axle_may_be_without_stops():
     tails = sum(float(stats.norm.sf(stroke / sigma)) for stroke in (0.02, 0.03))
     assert expected.mean["suspension_deflection_front_at_stops"] == pytest.approx(tails, rel=1e-9)
     assert "suspension_deflection_rear_at_stops" not in expected.mean
-
-
-def test_a_log_proves_its_stops(tmp_path, capsys):
-    """A run into unlike progressive stops is logged and says so, and the log proves it again."""
-    file = tmp_path / "car.toml"
-    file.write_text(read_vehicle("quarter_car").text + UNLIKE + STOPS["of each side"])
-    assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), "-v"]) == 0
-    assert "bump stop: a suspension first reaches the end of its stroke at" in prose(capsys.readouterr().out)
-    (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0

@@ -1,24 +1,19 @@
 """Dampers over velocity and deflection: as data, in the exact response and in MuJoCo, in verdicts, expectations and campaigns."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from models.characteristics.curve import ForceCurve
-from models.characteristics.ratio_table import RatioTable
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.drive.regime import CURVE, LEAVES, departures
-from sim.runs.run import run_controllers, sample_times
+from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.statistical_linearisation import equivalent
 from sim.studies.stability.step_derivative import step_derivative
-from synth.vehicle.designer import Designer, design
-from tests.support.analysed import energy, sampled_response, simulate
-from tests.support.commands import attacks, refused
+from synth.vehicle.designer import design
+from tests.support.analysed import sampled_response, simulate
+from tests.support.commands import refused
 from tests.support.curved import curved_text, with_curves
 
 V = np.array([-0.9, -0.3, 0.0, 0.25, 0.8])
@@ -46,59 +41,6 @@ def bilinear(v, d, force=F, ratio=None):
     u, column = r * v, np.array([np.interp(d, D, row) for row in force])
     i = np.clip(np.searchsorted(V, u) - 1, 0, len(V) - 2)
     return r * (column[i] + (column[i + 1] - column[i]) * (u - V[i]) / (V[i + 1] - V[i]))
-
-
-def test_a_motion_ratio_over_travel_keeps_the_dependence_on_position():
-    """At the wheel the force is r G(r v, D), D the integral of r, to 1e-4 of the largest."""
-    ratio = RatioTable(np.array([-0.1, 0.0, 0.1]), np.array([0.9, 0.8, 0.75]))
-    surface, rng = ratio.damper(tabled().parts.with_curve[0].curve), np.random.default_rng(0)
-    v, d = rng.uniform(-1, 1, 500), rng.uniform(-0.06, 0.06, 500)
-    turn = np.where(d < 0, -1.0, -0.5)
-    r, own = 0.8 + turn * d, 0.8 * d + turn * d**2 / 2
-    force = r * [bilinear(*pair) for pair in zip(r * v, own, strict=True)]
-    assert np.abs(surface.along(v, d) - force).max() < 1e-4 * np.abs(force).max()
-    late = ForceCurve(np.array([-1.0, -0.4, 0.0, 0.4, 1.0]), np.array([-1.0, -0.8, 0.0, 0.8, 1.0]), 2.0, "")
-    assert RatioTable(np.array([-0.1, 0.1]), np.array([0.4, 0.4])).damper(late).bent  # where the suspension moves at 1 m/s
-
-
-LATE = "[implementation]\nsample_period = 0.005\ndelay = 1.4"
-LAW = "[controllers.law]\nmeasured = ['sprung_acceleration']\nA = [[-8.0]]\nB = [[1.0]]\nC = [[900.0]]\nD = [[-50.0]]"
-
-
-@pytest.mark.parametrize(
-    ("kind", "more"),
-    [("quarter_car", ""), ("quarter_car", LAW), *attacks([("quarter_car", LATE), ("half_car", ""), ("full_car", "")])],
-    ids=["ideal", "states", "late", "half-car", "full car"],
-)
-def test_a_run_agrees_and_says_when_the_table_leaves_its_line(kind, more):
-    """MuJoCo follows the reference, a quarter-car to rounding; the energy balances; event and share are those of the signals."""
-    vehicle, time = tabled(kind, more), sample_times(read_vehicle(kind), 0.4, 1e-3)
-    controllers = [Designer(vehicle).design(name) for name in (("law",) if more is LAW else ("passive", "II"))]
-    road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD
-    for run in run_controllers(vehicle, controllers, road, time):
-        assert run.passed
-        assert run.energy is not None
-        assert run.energy.balances
-        for signal in vehicle.linear_model.outputs if kind == "quarter_car" else ():
-            foretold = run.prediction.integrated
-            assert np.abs(run.physics[signal] - foretold[signal]).max() < 1e-9 * (foretold.scale(signal) or 1.0), signal
-        off = np.zeros(len(time))
-        for one in vehicle.parts.with_curve:
-            v = run.physics[one.deflection.replace("deflection", "velocity")]
-            force = np.array([bilinear(*pair) for pair in zip(v, run.physics[one.deflection], strict=True)])
-            off = np.maximum(off, np.abs(force - one.curve.slope * v) / np.abs(F).max())
-        assert max(departures(vehicle, run.physics).values()) == pytest.approx(off.max(), rel=1e-9)
-        assert run.agreement.ended[CURVE.name] == time[np.flatnonzero(off >= LEAVES)[0]]
-
-
-def test_the_energy_tells_a_table_with_a_fault():
-    """Were the outermost forces 2 % larger, or all forces those at equilibrium, the energy would not balance."""
-    vehicle, time = tabled(), sample_times(read_vehicle("quarter_car"), 0.6, 1e-3)
-    runs = simulate([vehicle], [design(vehicle, "passive")], [ROAD], time)
-    assert energy(vehicle, runs, 0, ROAD).balances
-    at_rest = np.repeat(np.array([[np.interp(0.0, D, row)] for row in F]), len(D), axis=1)
-    for wrong in (F * [1.02, 1, 1, 1.02], at_rest):
-        assert not energy(tabled(force=wrong), runs, 0, ROAD).balances
 
 
 def test_a_table_without_effect_of_deflection_is_the_curve():

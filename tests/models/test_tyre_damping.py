@@ -55,57 +55,6 @@ def driven(vehicle: Vehicle, name: str, text: str, duration: float = 1.0, step: 
     return run_controllers(vehicle, [Designer(vehicle).design(name)], road, sample_times(vehicle, duration, step))[0]
 
 
-def own_equations(vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """The equations of a passive car in absolute heights, from its parameters: M y'' = -K y - C y' + K_t z_r + C_t z_r'."""
-    p, ends = vehicle.parameters, CORNERS[vehicle.kind.name]
-    axle = ["_" + e.split("_")[1] if e else "" for e in ends]
-    if vehicle.kind.name == "quarter_car":
-        S, body = np.ones((1, 1)), [p["sprung_mass"]]
-    else:
-        x = [p["axle_distance_front"] if a == "_front" else -p["axle_distance_rear"] for a in axle]
-        S, body = np.column_stack([np.ones(len(x)), -np.array(x)]), [p["sprung_mass"], p["pitch_inertia"]]
-    if vehicle.kind.name == "full_car":
-        S = np.column_stack([S, [p["track"] / 2 if e.endswith("left") else -p["track"] / 2 for e in ends]])
-        body.append(p["roll_inertia"])
-    along = np.hstack([S, -np.eye(len(ends))])
-    of = {name: np.diag([p.get(f"{name}{a}", 0.0) for a in axle]) for name in
-          ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")}  # fmt: skip
-    springs = of["suspension_stiffness"].copy()
-    for i, a in enumerate(("_front", "_rear")):
-        if f"anti_roll_stiffness{a}" in p and len(ends) == 4:
-            arm = np.zeros(4)
-            arm[2 * i : 2 * i + 2] = 1 / p["track"], -1 / p["track"]
-            springs += p[f"anti_roll_stiffness{a}"] * np.outer(arm, arm)
-    hubs = np.hstack([np.zeros((len(ends), S.shape[1])), np.eye(len(ends))])
-    return {
-        "M": np.diag([*body, *np.diag(of["unsprung_mass"])]),
-        "K": along.T @ springs @ along + hubs.T @ of["tyre_stiffness"] @ hubs,
-        "C": along.T @ of["suspension_damping"] @ along + hubs.T @ of["tyre_damping"] @ hubs,
-        "Kt": hubs.T @ of["tyre_stiffness"],
-        "Ct": hubs.T @ of["tyre_damping"],
-        "along": along,
-        "hubs": hubs,
-    }
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_frequency_response_is_that_of_the_own_equations(kind):
-    """From the road's velocity to hub accelerations, which it feels at once: to 1e-9, at low, resonant and high frequencies."""
-    vehicle = damped(kind)
-    ends = CORNERS[kind]
-    names = [f"unsprung_acceleration{end}" for end in ends]
-    vehicle = dataclasses.replace(vehicle, kind=vehicle.kind.naming(names))
-    e, omega = own_equations(vehicle), np.array([0.5, 7.0, 65.0, 900.0])
-    passive = Designer(vehicle).design("passive")
-    response = continuous_frequency_response(vehicle, passive, omega)
-    for k, w in enumerate(omega):
-        s = 1j * w
-        y = np.linalg.solve(e["M"] * s**2 + e["C"] * s + e["K"], e["Kt"] / s + e["Ct"])
-        own = s**2 * e["hubs"] @ y
-        found = response[k, [vehicle.linear_model.outputs.index(name) for name in names]]
-        assert np.abs(found - own).max() < 1e-9 * np.abs(own).max()
-
-
 def test_a_tyre_leaves_the_road_where_its_whole_force_ends():
     """The instant of lift-off is that of k t + c t' = k static, earlier than the deflection says.
 

@@ -32,7 +32,7 @@ from tests.conftest import random_vehicles
 from tests.models import test_cars
 from tests.support.analysed import energy, simulate
 from tests.support.analysed import simulate_inputs as simulate_met
-from tests.support.commands import attacks, in_the_suite, prose, refused
+from tests.support.commands import in_the_suite, prose, refused
 from tests.support.faults import built_with, places, scaled
 from tests.support.rewriting import contents
 from tests.support.shared import designed
@@ -103,17 +103,8 @@ def at_rest(vehicle: Vehicle, *texts: str) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("kind", "lines", "index"),
     [
-        ("full_car", f"{BARS}\n{TRACKS}", 1),
         ("half_car", LINKS["half_car"], 1),
-        ("full_car", LINKS["full_car"], 1),
-        *attacks(
-            [
-                ("full_car", BARS, 2),
-                ("full_car", f"{LINKS['full_car']}\n{TRACKS}", 0),
-                ("half_car", LINKS["half_car"], 0),
-                ("full_car", LINKS["full_car"], 2),
-            ]
-        ),
+        ("full_car", f"{LINKS['full_car']}\n{TRACKS}", 1),
     ],
 )
 def test_equations_are_the_physics(kind, lines, index):
@@ -139,7 +130,7 @@ def test_steps_are_those_of_the_exact_equations(case):
     """Each step in MuJoCo is that of the exact equations, to rounding, and energy balances."""
     make, text, rounding = CASES[case]
     vehicle = make()
-    run = driven(vehicle, text, name="lqr" if case.startswith("strut") else "passive")
+    run = driven(vehicle, text, 0.4, "lqr" if case.startswith("strut") else "passive")
     assert run.passed
     assert run.agreement.steps is not None
     assert run.agreement.steps.until == math.inf
@@ -274,7 +265,7 @@ def test_a_car_rolls_about_the_ground_as_the_books_say():
     without = static_angles(plain, passive, road, 9.0)[ROLL]
     assert without == pytest.approx(math.degrees(moment / K), rel=1e-12)
     assert round(without, 2) == 3.51
-    time, parts = sample_times(car, 12.0, 2e-3), car.kind.angles(p)[ROLL]
+    time, parts = sample_times(car, 12.0, 4e-3), car.kind.angles(p)[ROLL]
     roads = [choose_road(f"flat + corner:g={g}").build(car, 20.0, 0, 240.0) for g in (0.3, 0.01)]
     runs = simulate([car] * 2, [passive] * 2, roads, time).response
     for i, (g, off) in enumerate(((0.3, 3e-3), (0.01, 2e-5))):  # sin(phi) is phi - phi^3 / 6; and what still moves after 12 s
