@@ -102,18 +102,6 @@ def test_a_kink_between_samples_is_not_stepped_across(paper, designer):
         assert np.abs(coarse[signal] - fine[signal][::10]).max() < 1e-11 * float(fine.peak(signal))  # rounding
 
 
-def test_many_runs_are_the_single_runs(paper, designer):
-    """Runs of different vehicles, controllers and roads at once are, bit for bit, those made one by one, on any thread count."""
-    time = times(1e-3, 0.5)
-    vehicles = [paper, *random_vehicles(paper, 12, 0.3)]
-    controllers = [designer.design(name) for name in ("passive", "I", "II", "state", "I", "II", *["passive", "I"] * 3, "state")]
-    roads = [Bump(height=0.01 * i, speed=5.0 + i) for i in range(13)]
-    alone = np.stack([physics_of(*one, time).values for one in zip(vehicles, controllers, roads, strict=True)])
-    for threads in (1, 2, 3):  # no fewer than four runs to each
-        together = simulate(vehicles, controllers, roads, time, threads).response.values
-        np.testing.assert_array_equal(together, alone)
-
-
 def test_linear_until_lift_off(paper, designer):
     """Over a short high bump the wheel flies: physics is linear to rounding until then, and not after."""
     road, controller, time = Bump(height=0.12, length=1.5), designer.design("I"), times(1e-3, 1.0)

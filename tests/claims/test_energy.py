@@ -166,8 +166,7 @@ def test_a_wrong_mass_or_spring_of_the_compiled_model_shows(kind, options):
         assert "DOES NOT BALANCE" in found(fault).shown.title
 
 
-@pytest.mark.parametrize("make", [with_parameters, without_springs], ids=["options", "without springs"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "make"), [*((kind, with_parameters) for kind in KINDS), ("half_car", without_springs)])
 def test_energy_of_the_equations_is_that_of_mujoco(kind, make):
     """Without equations of motion a vehicle type has the energy of its compiled model, and every energy is the same."""
     vehicle = make(kind, KINDS[kind]) if make is with_parameters else make(kind)

@@ -120,7 +120,7 @@ def measured_road() -> Path:
     x = np.linspace(0, 30, 301)
     points = np.column_stack([x, 0.01 * np.sin(x), 0.01 * np.cos(2 * x)]).tolist()
     text = "".join(f"{at},{left},{right}\n" for at, left, right in points)
-    options = ("--vehicle", "half_car", "--controller", "I", "--road", "road.csv", "--duration", "0.5")
+    options = ("--vehicle", "half_car", "--controller", "I", "--road", "road.csv", "--duration", "0.3")
     log = logged("sim.drive", *options, files={"road.csv": text})
     (log.parent.parent / "road.csv").unlink(missing_ok=True)
     return log
@@ -129,8 +129,8 @@ def measured_road() -> Path:
 @pytest.mark.parametrize(
     "log_of",
     [
-        lambda: logged("sim.drive", "--controller", "I", "--class", "C", "--duration", "0.5"),
-        lambda: logged("sim.drive", "--controller", "I", "--road", "watts_hump:height=0.03", "--speed", "6", "--duration", "0.5"),
+        lambda: logged("sim.drive", "--controller", "I", "--class", "C", "--duration", "0.3"),
+        lambda: logged("sim.drive", "--controller", "I", "--road", "watts_hump:height=0.03", "--speed", "6", "--duration", "0.3"),
         measured_road,
     ],
     ids=["random", "single", "measured"],

@@ -36,7 +36,6 @@ from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
 from tests.support.analysed import simulate_inputs as simulate_inputs
 from tests.support.commands import attacks, in_the_suite, once, prose
-from tests.support.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.support.shared import designed
 
 BAR = "[parameters]\nanti_roll_stiffness_front = 2e4"
@@ -220,32 +219,6 @@ def test_a_law_in_python_carries_too(tmp_path):
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6
     assert max(one.continuous for one in run.agreement.signals.values()) < 1e-2
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize(("name", "text"), [("I", QUARTER[0]), ("accelerometer", QUARTER[1])])
-def test_curves_carry_too(text, name):
-    """A vehicle whose damper and spring have curves follows its own exact response under a load, but for RK4's knots."""
-    vehicle = with_curves("quarter_car_accelerometer", suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
-    (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
-    assert run.agreement.agrees
-    assert max(one.sampled for one in run.agreement.signals.values()) < 5e-5  # RK4 at knots; 2.2e-5 of a wheel that hardly moves
-    integrated, physics = run.prediction.integrated, run.physics
-    for signal in vehicle.linear_model.states:  # stage by stage MuJoCo's own arithmetic
-        assert np.abs(integrated[signal] - physics[signal]).max() < 1e-9 * physics.scale(signal)
-    assert run.energy is not None
-    assert run.energy.balances
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize(("name", "lag"), [("passive", ""), ("accelerometer", ""), ("I", "bandwidth = 90.0")])
-def test_adjustable_dampers_carry_too(name, lag):
-    """A vehicle with a semi-active damper agrees under a load as it does over a road alone, and its energy balances."""
-    damper = f'\n[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 3000.0\n{lag}\n'
-    vehicle = parse_vehicle(read_vehicle("quarter_car_accelerometer").text + damper)
-    for text in QUARTER:
-        (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
-        assert run.passed
 
 
 @pytest.mark.parametrize("kind", LOADS)

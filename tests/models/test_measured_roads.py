@@ -106,20 +106,19 @@ def driven(vehicle: Vehicle, road, duration: float, name: str = "passive") -> Ru
     return run_controllers(vehicle, [design(vehicle, name)], road, sample_times(vehicle, duration, 1e-3))[0]
 
 
-@pytest.mark.parametrize("damping", [0.0, 900.0])
-@pytest.mark.parametrize("kind", CORNERS)
+@pytest.mark.parametrize(("kind", "damping"), [("quarter_car", 900.0), ("half_car", 0.0), ("full_car", 900.0)])
 def test_every_car_is_in_steady_motion_at_first(kind, damping):
     """On a banked, rough climb at uneven points every signal is that of an own integration in absolute heights."""
     vehicle, (x, z) = car(kind, damping), points(bank=0.06, slope=0.04)
-    run = driven(vehicle, Profile(x, z, V), 1.0)
-    own = own_response(vehicle, x, z, 1.0)
+    run = driven(vehicle, Profile(x, z, V), 0.5)
+    own = own_response(vehicle, x, z, 0.5)
     assert run.passed
     for name, exact in own.items():
         size = np.abs(exact).max()
         # Rounding of 212 m over 11 m, at V, is 1e-12 of a velocity.
-        assert np.abs(run.continuous[name] - exact[:10001:10]).max() < 1e-9 * size, name
+        assert np.abs(run.continuous[name] - exact[:5001:10]).max() < 1e-9 * size, name
         # MuJoCo holds the road for 1 ms, in which a wheel at 10 Hz turns by 0.06 rad.
-        assert np.abs(run.physics[name] - exact[:10001:10]).max() < 0.06 * size, name
+        assert np.abs(run.physics[name] - exact[:5001:10]).max() < 0.06 * size, name
     assert run.agreement.steps is not None
     assert run.agreement.steps.error < EXACT
     if kind == "full_car":  # the bank is kept, and the body leans by it from the start
@@ -160,7 +159,7 @@ def test_a_climb_has_no_bump(kind):
     vehicle, x = car(kind), np.arange(0, 60, 0.5)
     z = np.round(0.05 * x, 4)[:, None] + [0.03, -0.03]
     for name in ("passive", "I"):
-        run = driven(vehicle, Profile(x, z, V), 0.5, name)
+        run = driven(vehicle, Profile(x, z, V), 0.3, name)
         assert run.passed
         for response in (run.physics, run.sampled, run.continuous):
             for signal in vehicle.kind.suspensions:

@@ -25,36 +25,6 @@ def vehicle(request, paper):
     return [paper, *random_vehicles(paper, 2)][request.param]
 
 
-def acceleration(model, qpos=0.0, qvel=0.0, ctrl=0.0, road=0.0):
-    data = mujoco.MjData(model)
-    data.qpos[:] += qpos
-    data.qvel[:] = qvel
-    data.ctrl[:] = ctrl
-    data.mocap_pos[:, 2] = road
-    mujoco.mj_forward(model, data)
-    return data.qacc.copy()
-
-
-def test_linearisation_is_the_papers(vehicle):
-    """A, B and Bw found by differences of qacc are (31)-(32)."""
-    model, linear = build_model(vehicle, 1e-3), vehicle.linear_model
-    body, wheel = (int(model.joint(name).dofadr[0]) for name in ("sprung", "unsprung"))
-    h = 1e-3  # m, m/s, N: the model is linear as long as the wheel stays on the road
-    columns = {
-        "suspension_deflection": {"qpos": h * np.eye(model.nv)[body]},
-        "tyre_deflection": {"road": -h},  # both masses stay: only the tyre changes length
-        "sprung_velocity": {"qvel": h * np.eye(model.nv)[body]},
-        "unsprung_velocity": {"qvel": h * np.eye(model.nv)[wheel]},
-    }
-    rest = acceleration(model)
-    for state, change in columns.items():
-        found = (acceleration(model, **change) - rest) / h
-        expected = linear.A[2:, linear.states.index(state)]
-        np.testing.assert_allclose(found[[body, wheel]], expected, atol=1e-9 * np.abs(linear.A).max())
-    found = (acceleration(model, ctrl=h) - rest) / h
-    np.testing.assert_allclose(found[[body, wheel]], linear.B[2:, 0], atol=1e-9)
-
-
 def test_attached_mjcf_is_the_model_that_ran(vehicle):
     """The MJCF text that goes into the logs compiles to the same model, bit for bit."""
     again, model = mujoco.MjModel.from_xml_string(mjcf_text(vehicle, 5e-4)), build_model(vehicle, 5e-4)

@@ -65,7 +65,7 @@ def vehicle_of(folder: Path, law: str, kind: str = "quarter_car", measured=MEASU
     return path
 
 
-def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, duration: float = 0.6) -> Runs:
+def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, duration: float = 0.3) -> Runs:
     """A run of a vehicle file's controller."""
     vehicle = vehicle or read_vehicle(path)
     time = sample_times(vehicle, duration, 1e-3)

@@ -120,7 +120,7 @@ def test_a_run_is_an_independent_integration(law):
     assert wrong.max() > 1e-2
 
 
-@pytest.mark.parametrize(("kind", "more"), zip(KINDS, (OF_FILE, f"{OF_FILE}bandwidth = 120.0\n", OF_FILE), strict=True))
+@pytest.mark.parametrize(("kind", "more"), [*zip(KINDS, (OF_FILE, f"{OF_FILE}bandwidth = 120.0\n", OF_FILE), strict=True)])
 def test_the_nonlinear_response_and_the_verdict_are_those_of_mujoco(kind, more):
     """On a quarter-car through a rocker the gain's nonlinear response is MuJoCo's run; the run passes, and takes energy."""
     vehicle = car(kind, more, f"{TIMED[:-1]}\ndelay = 1.0\n{R}")
@@ -141,7 +141,7 @@ def test_the_nonlinear_response_and_the_verdict_are_those_of_mujoco(kind, more):
 def test_the_coil_works_as_the_stored_energy_changes_with_the_voltage():
     """The work of the actuator is alpha per volt times S(z) and the change of the voltage, at each sample."""
     vehicle = car("bouc_wen", others=TIMED)
-    [one] = run(vehicle, "gain", Bump(0.05, 2.0, 12.5), 0.5)
+    [one] = run(vehicle, "gain", Bump(0.05, 2.0, 12.5), 0.3)
     u, z = one.physics["voltage"], one.physics["mr_hysteresis"]
     returned = [quad(lambda x: x / (1 + 50 * x), 0.0, abs(x))[0] for x in z]
     coil = N["per"] * np.sum(np.diff(u) * returned[1:])
@@ -154,7 +154,7 @@ def test_linear_analysis_and_passive_have_the_voltage_without_a_command():
     """Linear model and passive run are those of the constant voltage; a controller that pushes leaves the element there."""
     vehicle, constant = car("dahl"), car("dahl", "voltage = 0.25\n", TIMED, "")
     assert np.array_equal(vehicle.linear_model.A, constant.linear_model.A)
-    [one], [other] = (run(each, "passive", Bump(0.05, 2.0, 12.5), 0.5) for each in (vehicle, constant))
+    [one], [other] = (run(each, "passive", Bump(0.05, 2.0, 12.5), 0.2) for each in (vehicle, constant))
     names = [name for name in other.physics.names]
     assert all(np.array_equal(one.physics[name], other.physics[name]) for name in names)
     assert set(one.physics["voltage"]) == {0.25}
