@@ -27,8 +27,6 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import sampled_response, taylor4
-from sim.runs.agreement import compare
-from sim.runs.prediction import predicted
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.support.analysed import Runs, simulate
@@ -172,17 +170,6 @@ def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
         assert np.ptp(run.prediction.requested_force[:, 0]) > 600  # it did switch
         if run.agreement.cause == "RK4's own error":  # at 1 ms; without geometry and noise
             assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
-
-
-def test_it_can_disagree(tmp_path):
-    """Other forces by a hundred-thousandth are found: they are not the law's, and MuJoCo's steps are not those under them."""
-    path = vehicle_of(tmp_path, GAIN)
-    vehicle, runs = read_vehicle(path), driven(path)
-    time, given = runs.response.time, runs.recordings[0]
-    prediction = predicted(vehicle.controllers["mine"].driver(), RoadInput(vehicle, Bump(), time), runs.requested_force[0])
-    for share, agrees in {1.0: True, 1.00001: False}.items():
-        found = compare(prediction, replace(given, commands=share * given.commands))
-        assert [one.agrees for one in (found.steps, found.commands) if one is not None] == [agrees, agrees]
 
 
 def test_a_law_that_is_not_repeatable_is_no_disagreement(tmp_path):

@@ -130,18 +130,6 @@ def test_a_law_is_decided_before_a_step_as_by_a_computer():
         assert np.array_equal(held[:-1:2], held[1::2])
 
 
-def test_laws_side_by_side():
-    """Laws of different kinds run side by side as each does among its own, to the last bit."""
-    vehicle = parse_vehicle(QUARTER + DAMPER + EACH)
-    laws = [law_of(QUARTER + DAMPER + EACH, name)[1] for name in ("skyhook", "pdd", "skyhook_add")]
-    time = sample_times(vehicle, 0.4, 1e-3)
-    together = simulate([vehicle] * 3, laws, [BUMP] * 3, time)
-    for i, law in enumerate(laws):
-        pair = simulate([vehicle] * 2, [law] * 2, [BUMP] * 2, time)
-        difference = np.abs(together.response.values[i] - pair.response.values[0]).max(axis=0)
-        assert np.all(difference <= 1e-9 * np.abs(pair.response.values[0]).max(axis=0))
-
-
 def test_a_law_needs_dampers():
     """A law that sets dampers has no linear claim."""
     vehicle = parse_vehicle(QUARTER + DAMPER + EACH)

@@ -84,16 +84,6 @@ def test_a_run_is_that_of_our_law(name, text):
 
 
 @needs_cc
-def test_runs_side_by_side_are_those_alone():
-    """Code that drives several runs at once keeps a state of its own for each: their numbers are those of single runs."""
-    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + WIDE)
-    driver, roads = coded(vehicle, given(vehicle, "law"), "double"), [road_under(vehicle, 0.5, seed) for seed in (1, 2)]
-    together = simulate([driver] * 2, roads)
-    for i, road in enumerate(roads):
-        assert np.array_equal(together.response.values[i], simulate([driver], [road]).response.values[0])
-
-
-@needs_cc
 @pytest.mark.parametrize("numbers", ["double", "int16", *attacks(["float", "int32"])])
 def test_what_the_code_changes_is_measured(numbers):
     """The effect of the code is the difference of two runs in MuJoCo, is less in finer numbers, and the run agrees with it."""

@@ -1,14 +1,86 @@
-"""A driver of the user's own is a controller like any other, and its commands are checked."""
+"""Every driver, by its registry, and a driver of the user's own: a controller like any other, whose commands are checked."""
+
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from models import Bump, InputError, parse_vehicle, read_vehicle
+from models.laws.python_law import of_function
+from models.roads.road import RoadInput
 from sim import run
+from sim.drive.driver import RecordedForces
+from sim.drive.drivers.registry import DRIVERS
+from sim.runs.agreement import compare
+from sim.runs.prediction import predicted
 from sim.runs.report import reasons, verdict
+from sim.runs.run import compare_runs, sample_times, with_energy_balance
+from synth.vehicle.designer import driver_of
+from tests.commands.test_export import BUILT, COMPILER, LAW, needs_cc
+from tests.sim.test_code_in_the_loop import WIDE, coded
+from tests.support.analysed import simulate_inputs as simulate
 
 ROAD = Bump(height=0.05)
 DAMPER = '\n[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 4000.0\n'
+TEXT = read_vehicle("quarter_car").text
+
+
+def in_python(sample, state):
+    """A law with a state of its own."""
+    state = 0.9 * (state or 0.0) + sample["sprung_velocity"]
+    return -200.0 * state, state
+
+
+def recorded(vehicle) -> RecordedForces:
+    """The forces of a run of controller I, as `edge` repeats them."""
+    on = RoadInput(vehicle, Bump(height=0.03), sample_times(vehicle, 0.2, 1e-3))
+    return RecordedForces((), simulate([driver_of(vehicle, "I_printed")], [on]).recordings[0].commands)
+
+
+DRIVEN = {  # the vehicle of each driver, and what makes a controller that it drives
+    "linear": (TEXT + LAW + BUILT + WIDE, lambda vehicle: driver_of(vehicle, "law")),
+    "semi_active": (f'{TEXT}{DAMPER}[controllers.sky]\nsemi_active = "skyhook_add"\n', lambda vehicle: driver_of(vehicle, "sky")),
+    "python": (TEXT, lambda vehicle: of_function(in_python, ("sprung_velocity",))),
+    "recorded": (TEXT, recorded),
+    "code": (TEXT + LAW + BUILT + WIDE, lambda vehicle: coded(vehicle, driver_of(vehicle, "law"), "double")),
+}
+
+
+@cache
+def driven_by(name: str):
+    """A vehicle and the controller of a driver."""
+    text, make = DRIVEN[name]
+    vehicle = parse_vehicle(text)
+    return vehicle, make(vehicle)
+
+
+def test_every_driver_has_a_row():
+    assert {*DRIVEN} == {*DRIVERS}
+    assert all(driven_by(name)[1].driver_key[0] == name for name in DRIVEN if name != "code" or COMPILER)
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=needs_cc) if name == "code" else name for name in DRIVEN])
+def test_a_run_agrees_and_other_commands_are_found(name):
+    """Runs of other heights and masses side by side are those alone, to the last bit; the first agrees, and its energy balances.
+
+    Commands that are off by a hundred-thousandth are not those of the law, and MuJoCo's steps are not those under them.
+    """
+    vehicle, driver = driven_by(name)
+    cars, time = (vehicle, vehicle.with_parameters(sprung_mass=450.0), vehicle), sample_times(vehicle, 0.2, 1e-3)
+    inputs = [RoadInput(car, Bump(height), time) for car, height in zip(cars, (0.03, 0.03, 0.05), strict=True)]
+    first, *others = simulate([driver] * 3, inputs).recordings
+    for on, one in zip(inputs, (first, *others), strict=True):
+        assert np.array_equal(one.response.values, simulate([driver], [on]).run(0).values)
+    assert not np.array_equal(first.response.values, others[0].response.values)
+    if name == "recorded":
+        again = simulate([driver_of(vehicle, "I_printed")], inputs[:1]).run(0)
+        assert np.array_equal(first.response.values[:, : again.values.shape[1]], again.values)
+        return
+    prediction = predicted(driver, inputs[0], first.commands)
+    assert with_energy_balance(compare_runs([prediction], [first]), [first])[0].passed
+    found = compare(prediction, replace(first, commands=1.00001 * first.commands))
+    assert [one.agrees for one in (found.steps, found.commands) if one is not None] == [False, False]
 
 
 class Proportional:
