@@ -25,7 +25,6 @@ from sim.linear.nonlinear_elements import at_rest, at_rest_words
 from sim.runs.report import reasons, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
-from sim.studies.validity.regime_map import validity
 from synth.controller.report import OF, ideal_lines
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
@@ -386,21 +385,3 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     )
     assert off > 0.1  # friction holds the suspension over 0.1 mm: measured 1.0
     assert near < 1e-3  # RK4's at 4 ms: measured 5e-4
-
-
-@pytest.mark.attack
-def test_a_map_foretells_when_curves_leave_their_lines():
-    """Over bumps of many heights MuJoCo's curves leave their lines when their own response does, to the sample, or not at all."""
-    vehicle = with_curves(suspension_damping=DIGRESSIVE)
-    bumps = [Bump(height, 5.0, speed) for height in (0.004, 0.02, -0.03, 0.06) for speed in (6.0, 15.0)]
-    cells = validity(vehicle, design(vehicle, "I"), bumps, sample_times(vehicle, 1.0, 1e-3))
-    curve = REGIME_ENDS.index(CURVE)
-    first = np.array([one.first for one in cells.driven.values()])
-    assert {*first.tolist()} == {-1, curve}
-    np.testing.assert_array_equal(first, cells.predicted)
-    np.testing.assert_array_equal([one.time for one in cells.driven.values()], cells.predicted_time)
-    assert np.all((cells.used[:, curve] >= 1) == (first == curve))
-    near = 0.02 / float(cells.used[3, curve])  # about where it just leaves it, at 15 m/s
-    heights = [Bump(share * near, 5.0, 15.0) for share in np.linspace(0.8, 1.2, 21).tolist()]
-    edge = validity(vehicle, design(vehicle, "I"), heights, sample_times(vehicle, 0.4, 1e-3), every=True)
-    assert 0 < len(edge.boundary) < 21

@@ -12,8 +12,6 @@ from models.common.errors import InputError
 from models.laws.filter import WEIGHTINGS, Filter
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.bump import main as bump
-from sim.inspect.__main__ import main as inspect
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.studies.ride.weighting import wk
@@ -280,20 +278,6 @@ def test_what_synths_readme_says_of_the_two_steps():
         assert found.certificate.own.worst.real < -0.1  # a filter's slowest pole is not it
         assert len(found.certificate.own.poles) == 4
     assert not Designer(read_vehicle("quarter_car")).design("I").fallback_method
-
-
-@pytest.mark.attack
-def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
-    """A bump with filters is recorded and inspected: the certificate is computed again from the log's own vehicle file."""
-    file, brief = tmp_path / "felt.toml", ("--duration", "0.5")
-    file.write_text(file_with(WK, SLOW_ROAD))
-    assert bump(["--vehicle", str(file), "--controller", "II_printed", *brief, "--logs", str(tmp_path / "logs"), "-v"]) == 0
-    capsys.readouterr()
-    (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert inspect([str(log), "-v"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    norm = Designer(read_vehicle(file)).design("II_printed").certificate.norm.value
-    assert f"certificate: stable, norm {norm:.7g} at" in said
 
 
 def test_no_second_witness_with_filters(tmp_path):

@@ -3,7 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +12,8 @@ from models.common.errors import InputError
 from models.roads.road import Bump
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import kinds, parse_vehicle, read_vehicle
-from sim.bump import main as bump
-from sim.inspect.__main__ import main as inspect
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import metrics_of
-from sim.sweep import main as sweep
 from synth.analysis.certificate import certify
 from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer
@@ -136,19 +132,3 @@ def test_physics_agrees_to_rk4s_own_error(hub):
         assert run.passed
         assert run.agreement.signals[WHEEL].sampled > 0
         assert max(one.sampled for one in run.agreement.signals.values()) < 1e-6  # measured 4.7e-7
-
-
-@pytest.mark.attack
-def test_commands_take_it_as_any_other(hub, tmp_path, monkeypatch, capsys):
-    """The signal is designed for, driven, recorded, proved from the log, and swept."""
-    monkeypatch.chdir(tmp_path)
-    asked = ["--vehicle", str(hub), "--controller", "best", "--json"]
-    assert bump([*asked, "--duration", "0.3"]) == 0
-    run = json.loads(capsys.readouterr().out)["runs"][0]
-    assert run["signals"][WHEEL]["unit"] == "m/s2"
-    (log,) = tmp_path.glob("logs/*.mcap")
-    assert inspect([str(log)]) == 0
-    capsys.readouterr()
-    assert sweep([*asked, "--timestep", "2e-3"]) == 0
-    swept = json.loads(capsys.readouterr().out)["sweeps"][0]["signals"][WHEEL]["error"]
-    assert swept["sampled"] < 1e-4  # RK4's own: measured 2.2e-6 at 1 ms, and 16 times as much at 2 ms

@@ -27,7 +27,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import sampled_response, taylor4
-from sim.runs.run import run_controllers, sample_times
+from sim.runs.run import sample_times
 from synth.vehicle.designer import Designer
 from tests.support.analysed import Runs, simulate
 from tests.support.commands import environment, main_of, prose
@@ -152,24 +152,6 @@ def test_a_wrong_function_is_one_line(law, said, cause):
     with pytest.raises(InputError if said else SystemExit, match=said) as caught:
         sim.run(read_vehicle("quarter_car"), names["law"], Bump(), duration=0.1)
     assert cause in repr(caught.value.__cause__ or "")
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
-def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
-    """MuJoCo follows the linear response to whatever forces were asked for, its energy balances, and the forces are held."""
-    velocity = "sprung_velocity" if kind == "quarter_car" else "heave_velocity"
-    model = read_vehicle(kind).linear_model
-    law = SWITCHED.replace('sample["sprung_velocity"], count', f'sample["{velocity}"] * np.ones({len(model.inputs)}), count')
-    path = vehicle_of(tmp_path, "import numpy as np\n" + law, kind, (velocity,))
-    for how, limits in REALITIES.values():
-        vehicle = replace(read_vehicle(path), implementation=how, limits=limits)
-        mine, time = vehicle.controllers["mine"].driver(), sample_times(vehicle, 1.0, 1e-3)
-        (run,) = run_controllers(vehicle, [mine], Bump(height=0.02), time)
-        assert run.passed
-        assert np.ptp(run.prediction.requested_force[:, 0]) > 600  # it did switch
-        if run.agreement.cause == "RK4's own error":  # at 1 ms; without geometry and noise
-            assert max(signal.sampled for signal in run.agreement.signals.values()) < 1e-5
 
 
 def test_a_law_that_is_not_repeatable_is_no_disagreement(tmp_path):
