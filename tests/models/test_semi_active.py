@@ -1,6 +1,7 @@
-"""The built-in semi-active laws: the coefficients that they request, and their runs."""
+"""The built-in semi-active laws: the coefficients that they request, their runs and peaks, and the published car that ships."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,15 @@ import pytest
 from models.common.errors import InputError
 from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
 from models.roads.choice import choose_road
+from models.roads.road import Bump
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.runs.report import controller_notes, controller_object, verdict
+from sim.bump import main as bump
+from sim.runs.report import controller_notes, controller_object, run_object, verdict
 from sim.runs.run import run_controllers, sample_times
-from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER, check_physics
+from sim.studies.ride.metrics import Meter, measure
+from synth.__main__ import main as synth
+from tests.models.test_semi_active_dampers import BOTH, BUMP, DAMPER, HALF, QUARTER, check_physics
 from tests.support.analysed import simulate
 from tests.support.commands import attacks
 
@@ -136,3 +141,99 @@ def test_a_law_needs_dampers():
     assert set(NAMES).isdisjoint(vehicle.linear_names)
     with pytest.raises(InputError, match="is a semi-active law, which has no linear loop"):
         vehicle.linear_entry("add")
+
+
+COEFFICIENTS = {
+    "skyhook": lambda body, stretching: 4000.0 if body * stretching > 0 else 300.0,
+    "skyhook_linear": lambda body, stretching: np.clip(4000 * body / stretching, 300, 4000) if body * stretching > 0 else 300.0,
+}
+
+
+def integrated(law, road, time):
+    """Body acceleration and damper force of the quarter-car at every tenth of a step, from start to end, shape (T - 1, 11, 2).
+
+    The coefficient is decided at the samples, and the road is held over a step at its height midway.
+    """
+    m, hub, k, tyre, nominal, h = 504.5, 62.0, 13100.0, 252000.0, 1000.0, time[1] / 10
+    x, found = np.zeros(4), []
+    for height in road.displacement(time[:-1] + time[1] / 2):
+        c = law(x[2], x[2] - x[3])
+        body = np.array([-k, k, -c, c])
+        A = np.stack([[0, 0, 1, 0], [0, 0, 0, 1], body / m, (-body - [0, tyre, 0, 0]) / hub])
+        states = [x]
+        for _ in range(10):
+            rate = A @ x + np.array([0, 0, 0, tyre / hub * height])
+            x = x + h * (rate + h / 2 * A @ (rate + h / 3 * A @ (rate + h / 4 * A @ rate)))
+            states.append(x)
+        found.append([(A[2] @ state, (nominal - c) * (state[2] - state[3])) for state in states])
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("law", "speed", "peak_of", "low"),
+    [("skyhook", 28.0, "sprung_acceleration", 0.009), ("skyhook_linear", 12.5, "control_force", 0.025)],
+)
+def test_peak_and_rms_use_both_sides_of_a_decision(law, speed, peak_of, low):
+    """Peak and rms of a run and its metrics are those of the continuous signals to 1e-3; just after decisions, peaks are low."""
+    vehicle = parse_vehicle(f'{QUARTER}{DAMPER}[controllers.law]\nsemi_active = "{law}"\n')
+    road, time = Bump(0.05, 5.0, speed), sample_times(vehicle, 0.8, 1e-3)
+    (run,) = run_controllers(vehicle, [vehicle.controllers["law"].driver()], road, time)
+    signals, whole = run_object(run)["signals"], measure(vehicle, run.physics, 0)
+    sides = integrated(COEFFICIENTS[law], road, time)
+    for name, exact in zip(("sprung_acceleration", "control_force"), np.moveaxis(sides, 2, 0), strict=True):
+        peak, rms = np.abs(exact).max(), np.sqrt(np.mean((exact[:, :-1] ** 2 + exact[:, 1:] ** 2) / 2))
+        assert signals[name]["peak"]["mujoco"] == pytest.approx(peak, rel=1e-3)
+        assert [signals[name]["rms"]["mujoco"], whole[f"{name}_rms"]] == pytest.approx([rms, rms], rel=1e-3)
+        assert np.abs(exact[:, 0] - run.physics[name][:-1]).max() < 1e-5 * peak  # RK4's error
+        assert name != peak_of or np.abs(run.physics[name]).max() < (1 - low) * peak
+    assert whole["control_force_peak"] == signals["control_force"]["peak"]["mujoco"]
+    meter = Meter([vehicle], 1e-3, 0)
+    for block in np.array_split(run.physics.values, 3):  # as in campaigns
+        meter.update(block[..., None])
+    assert {name: values[0] for name, values in meter.result().items()} == pytest.approx(whole, rel=1e-9)
+
+
+def test_values_before_a_decision_are_those_measured_there():
+    """Controllers measure accelerations just before they decide. `before` has these values, but for the angle of a car's body."""
+    text = BOTH.replace("bandwidth = 90.0", "") + '[controllers.law]\nsemi_active = "add"\n'
+    vehicle = parse_vehicle(text)
+    time = sample_times(vehicle, 0.5, 1e-3)
+    runs = simulate([vehicle], [vehicle.controllers["law"].driver()], [Bump(0.1, 5.0, 12.5)], time)
+    run, measured = runs.run(0), runs.recordings[0].measured
+    for name in ("sprung_acceleration_front", "sprung_acceleration_rear"):
+        far = np.abs(run.before[name] - measured[name]).max() / run.peak(name)
+        assert far < 1e-3 < np.abs(run[name] - measured[name]).max() / run.peak(name)
+
+
+VEHICLE = "quarter_car_semi_active"
+# eFMI's test case M06, QuarterVehiclePlant: m_b, m_w, c_b, c_w, d_w; dMin and dMax.
+SOURCE = {
+    "sprung_mass": 250.0,
+    "unsprung_mass": 30.0,
+    "suspension_stiffness": 20e3,
+    "tyre_stiffness": 250e3,
+    "tyre_damping": 500.0,
+}
+LEAST, MOST = 200.0, 1000.0
+
+
+def test_numbers_of_the_source():
+    """Masses, stiffnesses, tyre damping and the damper's limits are the source's; the nominal damper is midway between these."""
+    vehicle = read_vehicle(VEHICLE)
+    assert {name: vehicle.parameters[name] for name in SOURCE} == SOURCE
+    (damper,) = vehicle.dampers.values()
+    assert (damper.c_min, damper.c_max) == (LEAST, MOST)
+    assert vehicle.parameters["suspension_damping"] == (LEAST + MOST) / 2
+
+
+def test_every_claim_holds(capsys):
+    """Its controllers are designed and certified, the given one too, and they agree with physics over a bump."""
+    assert synth(["--vehicle", VEHICLE, "--json"]) == 0
+    capsys.readouterr()
+    assert (
+        bump(["--vehicle", VEHICLE, "--controller", "all", "--height", "0.02", "--duration", "0.25", "--no-logs", "--json"]) == 0
+    )
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    names = {run["controller"]["name"] for run in runs}
+    assert names == {"passive", "state", "I", "sky", *LAWS} - {"skyhook_modal"}  # of cars
+    assert all(run["agrees"] for run in runs)

@@ -7,7 +7,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import Designer
-from tests.models.test_curves_beside import with_tables
+from tests.models.test_measured_dampers import with_tables
 from tests.models.test_semi_active_dampers import BOTH
 from tests.support.commands import in_the_suite
 
