@@ -1,19 +1,15 @@
 """The energy that road and actuators put into a run is found again: stored, or dissipated."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 
-from models.kinds.rigid_motion import RigidMotion
 from models.roads.road import Bump
 from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.bump import main
 from sim.drive.response import Response
 from sim.observers.results import Energy
-from sim.observers.steps import motion_of
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.claims.test_verdict import without_motion
@@ -21,7 +17,6 @@ from tests.models.test_vehicle_options import LINKS, TYRES, with_parameters, wit
 from tests.support.analysed import energy, simulate
 from tests.support.commands import ROOT
 from tests.support.faults import built_with, places, scaled
-from tests.support.pages import hopper
 
 LAG = "\n[limits]\nactuator_bandwidth = 60.0\n"
 ALL = (
@@ -187,26 +182,6 @@ def test_stops_on_the_road_balance():
     assert found.residual < 1e-5  # measured 7e-7; without the work on stops 0.5
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_energy_of_the_equations_changes_by_the_power_of_their_forces(kind):
-    """However far the body turns, whatever tyre is in the air: by actuators' power less that of dampers, without MuJoCo."""
-    for lines in ("", LINKS.get(kind, "")):
-        vehicle = with_parameters(kind, lines)
-        motion, rng, c = motion_of(vehicle), np.random.default_rng(0), len(vehicle.kind.wheels)
-        assert isinstance(motion, RigidMotion)
-        state, (heights, u) = rng.uniform(-0.3, 0.3, (50, 2 * len(motion.joints))), rng.uniform(-0.1, 0.1, (2, 50, c))
-        rate = motion.rate(state, heights, 1e5 * u, lambda d, v: np.zeros_like(d), np.zeros((50, 0)))
-
-        def slope(of, state=state, rate=rate):
-            return (of(state + 1e-6 * rate) - of(state - 1e-6 * rate)) / 2e-6
-
-        v = slope(lambda x, motion=motion, heights=heights: motion.read(x, heights))[:, :c]
-        coefficients = [vehicle.parameters[part.damping] for part in vehicle.kind.suspensions]
-        power = (1e5 * u * v - coefficients * v**2).sum(axis=1)
-        change = slope(lambda x, motion=motion, heights=heights: motion.energy(x, heights).sum(axis=1))
-        np.testing.assert_allclose(change, power, rtol=0, atol=1e-6 * np.abs(power).max())
-
-
 LIGHT = """type = "quarter_car"
 [parameters]
 sprung_mass = 229.0
@@ -262,27 +237,6 @@ def test_a_hundredth_of_a_damper_shows(kind, name):
     other = dataclasses.replace(vehicle, parameters={**vehicle.parameters, **dampers})
     assert energy(vehicle, runs, 0, road).balances
     assert not energy(other, runs, 0, road).balances
-
-
-@pytest.mark.attack
-def test_own_kind_balances_and_its_faults_show(tmp_path, capsys):
-    """The README's hopper, whose motor pushes against the world, balances to RK4's error.
-
-    In a fluid, whose drag grows with the square of the speed as geometry does, neither the signals nor the energy agree: a model
-    without hinges or leaning tendons has no geometry.
-    """
-    command = ["--vehicle", str(hopper(tmp_path)), "--controller", "I", "--no-logs", "--json"]
-    assert main(command) == 0
-    (clean,) = json.loads(capsys.readouterr().out)["runs"]
-    assert clean["energy"]["residual"] < 1e-6  # 1e-7 measured
-    assert clean["energy"]["dissipated"] == 0  # it has no damper
-    assert clean["energy"]["actuators"] < 0  # its motor is what stops it
-    xml = (tmp_path / "hopper.xml").read_text()
-    (tmp_path / "hopper.xml").write_text(xml.replace('integrator="RK4"', 'integrator="RK4" density="2000"'))
-    assert main(command) == 1
-    (dragged,) = json.loads(capsys.readouterr().out)["runs"]
-    assert not dragged["agrees"]
-    assert not dragged["energy"]["balances"]
 
 
 def test_at_rest_nothing_is_left_over(paper, designer):

@@ -36,10 +36,8 @@ def folder(tmp_path):
 
 def refusal(folder: Path) -> str:
     """Returns the error of a command about the vehicle."""
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"\A.{,499}\Z") as caught:  # one line
         main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"])
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 500
     return str(caught.value)
 
 
@@ -53,8 +51,10 @@ def replace(path: Path, *changes: tuple[str, str]) -> None:
 
 
 def test_it_works(folder):
-    """The three files of the page run as they are."""
-    assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
+    """The three files of the page run as they are, with their motor; in a fluid that the equations lack the run disagrees."""
+    assert main(command := ["--vehicle", str(folder / "hopper.toml"), "--controller", "I", "--duration", "1", "--no-logs"]) == 0
+    replace(folder / "hopper.xml", ('integrator="RK4"', 'integrator="RK4" density="2000"'))
+    assert main(command) == 1
 
 
 def test_it_goes_to_other_processes(folder):

@@ -932,22 +932,6 @@ def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     assert not np.array_equal(together[0].response.values, together[1].response.values)
 
 
-OMEGA = np.geomspace(0.1, 1e3, 40)  # rad/s
-
-
-@pytest.mark.parametrize("ratio", RATIOS)
-def test_a_maxwell_element_has_its_complex_stiffness(ratio):
-    """At each frequency the pull per deflection is r^2 k j w c / (k + j w c), with the stiffness k and damping c of the file."""
-    one = next(one for one in car("half_car", ("Maxwell element",), ratio).parts if one.states)
-    r, line, s = ratios_at(ratio, "_front")[1], one.part.line, 1j * OMEGA
-    assert line.rates is not None
-    assert line.of_states is not None
-    rates, of_travel = line.rates[0, 0], line.rates[0, 1] + s * line.rates[0, 2]
-    r_at_rest = np.interp(0.0, *ratios_at(ratio, "_front")) if len(r) > 1 else r[0]
-    found = line.stiffness + s * line.damping + line.of_states[0] * of_travel / (s - rates)
-    np.testing.assert_allclose(found, r_at_rest**2 * 6e4 * s * 1500.0 / (6e4 + s * 1500.0), rtol=1e-9)
-
-
 def test_the_poles_of_a_quarter_car_with_a_maxwell_element():
     """Poles are the roots of the determinant of the equations of motion, with the complex stiffness written out here."""
     p, k, c = read_vehicle("quarter_car").parameters, 6e4, 1500.0

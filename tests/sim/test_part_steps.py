@@ -1,4 +1,4 @@
-"""Steps of MuJoCo with parts that have their own states, inputs and inertia, against equations that are written out here."""
+"""Steps of MuJoCo with parts that have states and inertia, beside clipped and lagging actuators, against own equations."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.parts.native import MOTOR
-from models.vehicle.mjcf import FITTED, build_spec, mocap_indices
+from models.vehicle.mjcf import FITTED, build_spec
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.drive.part_steps import PartBatch
@@ -101,53 +101,3 @@ def test_a_quarter_car(inertance):
     assert 20 < clipped < STEPS - 20
     np.testing.assert_array_equal(batch.state[1:], second.state)
     np.testing.assert_array_equal(batch.z[1:], second.z)
-
-
-CENTRES = {"roll_centre_height_front": 0.1, "roll_centre_height_rear": 0.15}
-
-
-@pytest.mark.parametrize("b", [0.0, 60.0])
-@pytest.mark.parametrize("centres", [{}, CENTRES], ids=["struts", "links"])
-def test_a_full_car_that_turns(centres, b):
-    """Steps over a bump on the left, with parts of one state at each corner, are RK4's of the exact equations of a rigid body."""
-    vehicle = read_vehicle("full_car").with_parameters(**centres)
-    toy = Toy(np.full((1, 4), b) if b else None, 1, 4)
-    assert vehicle.kind.motion
-    batch, motion = batch_with([vehicle], toy), vehicle.kind.motion(vehicle.parameters)
-    corners = [part.corner for part in vehicle.kind.suspensions]
-    joints = [batch.model.joint(name).id for name in ("heave", "pitch", "roll", *(f"unsprung_{one}" for one in corners))]
-    mocap, none = mocap_indices(vehicle, batch.model), np.zeros((1, 4))
-
-    def moved(y, road, more):
-        """The rates of the body, of z, and the velocities of the struts, under more pulls."""
-        seen = []
-
-        def pulls(d, v):
-            seen.append(v)
-            return toy(d, v, none, y[None, 14:]) + more
-
-        rates = motion.rate(y[None, :14], road, none, pulls, np.zeros((1, 0)))[0]
-        return np.concatenate([rates, toy.rate(seen[0][0], y[14:])]), seen[0][0]
-
-    def rate(y):
-        if not b:
-            return moved(y, road, none)[0]
-
-        def second(more):  # derivative of the struts' lengths, as a difference along the motion
-            rates = moved(y, road, more)[0]
-            return (moved(y + 1e-5 * rates, road, none)[1] - moved(y - 1e-5 * rates, road, none)[1]) / 2e-5
-
-        free = second(none[0])
-        response = np.stack([second(1e3 * one) - free for one in np.eye(4)], axis=-1) / 1e3
-        return moved(y, road, np.linalg.solve(np.eye(4) - b * response, b * free))[0]
-
-    y = np.zeros(18)
-    for n in range(STEPS // 6 if b else STEPS):
-        t = n * H - np.array([0.0, 0.0, 0.05, 0.05])
-        road = (np.where(t > 0, 0.04 * (1 - np.cos(2 * np.pi * t / 0.1)), 0.0) * [1, 0, 1, 0])[None]
-        y = rk4(rate, y)
-        batch.bind("mocap_pos")[:, mocap, 2] = road
-        batch.step()
-        own = np.concatenate([batch.bind("qpos")[0, joints], batch.bind("qvel")[0, joints], batch.z[0]])
-        np.testing.assert_allclose(own, y, rtol=1e-10, atol=1e-11 if b else 1e-13)
-    assert np.abs(y[2]) > 5e-4
