@@ -454,9 +454,9 @@ ENDLESS = {
 @pytest.mark.parametrize("body", ENDLESS.values(), ids=ENDLESS)
 def test_a_call_that_takes_too_long(tmp_path, monkeypatch, body):
     """A law that does not return is ended, in Python's code or not. The line says which law, and after how long."""
-    monkeypatch.setattr(running, "LONGEST", 0.3)
+    monkeypatch.setattr(running, "LONGEST", 0.2)
     found = refusal(vehicle_of(tmp_path, f"def step(sample, state):\n    {body}\n"))
-    assert found == "controller 'mine', law mine.py:step: step takes longer than 0.3 s at 0 s; correct it"
+    assert found == "controller 'mine', law mine.py:step: step takes longer than 0.2 s at 0 s; correct it"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a Ctrl-C of POSIX")
