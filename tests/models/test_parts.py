@@ -1040,7 +1040,8 @@ def test_the_energy_of_a_loop_of_bouc_and_wen():
 
 def test_the_state_of_a_friction_is_no_error_of_the_line():
     """The linearisation, which leaves a friction out, is judged by the vehicle's signals, not by the state of the friction."""
-    run = judged(*(one[0] for one in driven("quarter_car", ("Dahl",), "at the wheel")))
+    (on, *_), (physics, *_) = driven("quarter_car", ("Dahl",), "at the wheel")
+    run = judged(on, physics)
     assert "element_friction" in run.agreement.signals
     assert run.line_errors.keys() == {*run.agreement.signals} - {"element_friction"}
 
