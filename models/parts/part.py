@@ -6,7 +6,7 @@ where the suspension stretches; z are states of the part's own, and u its inputs
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder, a force
-element of `[parts]` in a file of `elements`, and a line in `models.parts.registry.PARTS`.
+element of `[parts]` in a file of `elements`, and a line in `EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod

@@ -1,6 +1,6 @@
 """The choice between the methods of design, and `design`, which runs the chosen methods.
 
-A method is a function in a file of its own, and a line in `METHODS` of `models.laws.design_methods`:
+A method is a function in a file of its own, and a row in `EXTENSIONS` of `models.common.extensions`:
 
     def method(problem: DesignProblem, progress: Progress) -> DesignResult
 
@@ -8,32 +8,17 @@ It raises an InputError, such as a DesignError, where it finds no controller.
 """
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from models.common.errors import InputError, alike
-from models.common.lazy import named
-from models.laws.design_methods import METHODS
+from models.common.errors import InputError
+from models.common.extensions import METHODS
 from models.laws.law_structure import FULL
 from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
-
-Method = Callable[[DesignProblem, Progress], DesignResult]
-
-
-def method_of(name: str) -> Method:
-    """Returns the method of a name.
-
-    Raises:
-        InputError: no method has that name.
-    """
-    if name not in METHODS:
-        raise InputError(f"design method {name!r} is not known; known are {alike(name, METHODS)}")
-    return named(METHODS[name])
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -75,7 +60,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
     failures: list[Exception] = []
     for name in tries:
         try:
-            problem = problem.starting(method_of(name)(problem, progress))
+            problem = problem.starting(METHODS.load(name)(problem, progress))
             break
         except (InputError, np.linalg.LinAlgError) as error:
             if isinstance(error, InfeasibleError) and not failures:
@@ -86,7 +71,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
         assert failures, "a method returns a result"
         raise failures[0] if problem.order == FULL else failures[-1]
     for name in further:
-        problem = problem.starting(method_of(name)(problem, progress))
+        problem = problem.starting(METHODS.load(name)(problem, progress))
     assert problem.start is not None, "a method returns a result"
     return _instead_of_riccati(problem, problem.start, failures[0]) if failures and problem.order == FULL else problem.start
 
