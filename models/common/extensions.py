@@ -66,6 +66,25 @@ _ROWS = {
         "h2": "synth.design.full_order.quadratic:quadratic",
         "preview": "synth.design.full_order.preview:preview",
     },
+    "section": {  # what reads a section of a vehicle file
+        "controllers": "models.vehicle.controller_section:ControllerSection",
+        "limits of places": "models.characteristics.stops:read_places",
+        "stop table": "models.characteristics.stops:read_stop_table",
+        "table of a stop": "models.characteristics.curve_reading:StopTableSection",
+    },
+    "calculation": {  # a function that the core calls only for what a vehicle file or a command asks
+        "stops of a corner": "models.characteristics.stops:stops_at",
+        "stops in words": "models.characteristics.stops:stop_words",
+        "stops that a run reaches": "sim.runs.stops:stops_object",
+        "hardest contact with stops": "sim.runs.stops:stop_note",
+        "stops reached at a time": "sim.runs.stops:stop_names",
+        "effect of exported code": "sim.runs.code_effect:code_effect",
+        "lower bound": "synth.lmi.full_order_bound:find_lower_bound",
+        "bound beyond control": "synth.lmi.full_order_bound:bound_beyond_control",
+        "remove unobservable states": "synth.lmi.unobservable:remove_unobservable",
+        "barrier of a large path": "synth.lmi.structured_barrier:path_barrier",
+        "barrier of a large start": "synth.lmi.structured_barrier:start_barrier",
+    },
     "driver": {  # what makes the driver of (controllers, failures, numbers), see `sim.drive.drivers.registry`
         "linear": "sim.drive.drivers.linear:LinearDriver",
         "semi_active": "sim.drive.drivers.semi_active:SemiActiveDriver",
@@ -102,4 +121,4 @@ _ROWS = {
     },
 }
 EXTENSIONS = {sort: Registry(sort, rows) for sort, rows in _ROWS.items()}
-PARTS, METHODS, DRIVERS, OBSERVERS, METRICS = EXTENSIONS.values()
+PARTS, METHODS, SECTIONS, CALCULATIONS, DRIVERS, OBSERVERS, METRICS = EXTENSIONS.values()

@@ -17,14 +17,11 @@ from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.plausibility import remarks
 from models.common.schema import AnyTable, BySignal, Section, Text, keys, placed, read
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
@@ -52,7 +49,10 @@ from models.vehicle.sections import (
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
+    from models.document.figure import Figure
     from models.laws.filter import Filter
+    from models.laws.python_law import Programmed
+    from models.laws.semi_active import SemiActive
     from models.parts.element import Element
 
 
@@ -348,7 +348,7 @@ class Vehicle(Shown):
         )
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain from the road's velocity to the weighted signals, without control."""
         from models.document.notebook import gain_figure
 
@@ -571,7 +571,7 @@ class Vehicle(Shown):
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
-    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
+    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | Programmed | SemiActive":
         """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 

@@ -8,11 +8,11 @@ code are started again and receive the same measurements.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.semi_active import SemiActive
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import CommandLimiter, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -25,6 +25,9 @@ from sim.linear.rounding import roundings
 from sim.observers.recorder import Recording, from_steady
 from sim.observers.results import CommandAgreement
 from synth.controller.controller import AnyController, Controller
+
+if TYPE_CHECKING:
+    from models.laws.semi_active import SemiActive
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
@@ -219,7 +222,7 @@ def _linear(
     )
 
 
-def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
+def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
     """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
     from models.parts.damper_range import range_of
     from models.vehicle.semi_active_coefficients import numbers_at, numbers_of

@@ -8,10 +8,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from models.common.extensions import CALCULATIONS
 from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
@@ -35,9 +36,7 @@ from sim.drive.regime import (
 from sim.drive.response import Response
 from sim.observers.results import ALLOWED, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
-from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
-from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
@@ -54,6 +53,9 @@ from synth.controller.report import (
     study_notes,
 )
 from synth.controller.report import notes as controller_remarks
+
+if TYPE_CHECKING:
+    from sim.runs.code_effect import CodeEffect
 
 LOST = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
@@ -113,10 +115,10 @@ def run_object(run: RunResult) -> dict[str, Any]:
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
         **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
-        **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
+        **({"stops": CALCULATIONS.load("stops that a run reaches")(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **_decay_object(run),
-        **code_object(run.prediction.code_effect),
+        **({"code_difference": code.record} if (code := run.prediction.code_effect) is not None else {}),
         **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
     }
@@ -196,7 +198,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         *controller_remarks(controller),
         *certificate.remarks,
         *notes_on_sampled_loop(vehicle, certificate, built),
-        *failures_of_sampled_loop(vehicle, certificate, certificate.failures, built),
+        *failures_of_sampled_loop(vehicle, certificate, certificate.loop_failures, built),
     ]
 
 
@@ -260,7 +262,7 @@ def _when(run: RunResult) -> str:
         return "over the whole run"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
-        ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
+        ended[ended.index(BUMP_STOP.name)] = CALCULATIONS.load("stops reached at a time")(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
@@ -311,7 +313,8 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
         full: False to leave details out, which need the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
-    stops = notes(*filter(None, [stop_note(run)]))
+    contact = CALCULATIONS.load("hardest contact with stops")(run) if run.vehicle.parts.strokes else ""
+    stops = notes(*filter(None, [contact]))
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
@@ -347,7 +350,7 @@ def _events(run: RunResult) -> Iterator[str]:
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
-        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
+        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, CALCULATIONS.load("stops reached at a time")(run, when), 1)
     yield from (line.format(when=WHEN.text(times[end.name])) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     yield from (
@@ -561,7 +564,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     return [*notes(*texts)]
 
 
-def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
     """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
     if effect is None:
         return []
@@ -576,7 +579,7 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
     return [f"{line}; with the control law itself, {force} differs by {apart}, and every signal by at most {share} of its peak"]
 
 
-def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
+def code_table(effect: "CodeEffect", vehicle: Vehicle) -> Table:
     """Returns the difference of every signal from the run with the law itself."""
     fields = (
         Field[str]("signal", lambda name: name.replace("_", " ")),

@@ -28,6 +28,7 @@ stable and its norm below the bound. The norm itself is computed by two routes.
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,15 +37,17 @@ from models.common.checks import check_shape
 from models.common.errors import InputError
 from models.common.printed import about, difference, digits, magnitude
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
 from synth.analysis.stability import Stability, balance, beside_weights, stability
 from synth.plant.generalized import Feedback, Plant, check_states
 from synth.plant.numerics import numerics
 from synth.plant.units import speed
+
+if TYPE_CHECKING:
+    from models.document.figure import Figure
+    from synth.analysis.lower_bound import LowerBound
 
 
 def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
@@ -189,7 +192,7 @@ class Certificate(Shown):
     speed_up: float
     moves: bool
     norm_rounding: float
-    below: LowerBound | None = None
+    below: "LowerBound | None" = None
 
     @property
     def shown(self) -> Document:
@@ -204,7 +207,7 @@ class Certificate(Shown):
         return texts | {"failures": "; ".join(self.failures)}
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop over frequency, with bound and lower bound."""
         from models.document.notebook import gain_figure
 
@@ -278,6 +281,14 @@ class Certificate(Shown):
     @property
     def failures(self) -> tuple[str, ...]:
         """The claims that do not hold, in words; empty if all do."""
+        if self.gap is None or self.gap >= -BELOW:
+            return self.loop_failures
+        below = f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}"
+        return (*self.loop_failures, below)
+
+    @property
+    def loop_failures(self) -> tuple[str, ...]:
+        """The claims about the loop alone that do not hold; the lower bound is of all controllers, and is not read for them."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -291,8 +302,6 @@ class Certificate(Shown):
             failures += self.proof.failures
             if self.norm.value > self.proof.bound:
                 failures.append(f"the norm {digits(self.norm.value)} exceeds the bound {digits(self.proof.bound)}")
-        if self.gap is not None and self.gap < -BELOW:
-            failures.append(f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}")
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
@@ -310,7 +319,7 @@ def certify(
     G: Array | Feedback,
     X: Array | None = None,
     eta: float | None = None,
-    lower_bound: LowerBound | None = None,
+    lower_bound: "LowerBound | None" = None,
     by_itself: Plant | None = None,
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.

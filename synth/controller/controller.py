@@ -9,22 +9,22 @@ from models.common.arrays import Array
 from models.common.checks import Checked, validated
 from models.common.errors import InputError, error_in, listing
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
+    from models.document.figure import Figure
     from models.laws.preview import RoadPreview
+    from models.laws.python_law import Programmed
+    from models.laws.semi_active import SemiActive
+    from synth.analysis.lower_bound import LowerBound
     from synth.analysis.specification import Specification
 
 
@@ -94,7 +94,7 @@ class Controller(ControlLaw, Checked, Shown):
         return facts(f"controller {self.name}: {made}, {certificate.shown.title}", rows)
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop."""
         return self.certificate.drawn
 
@@ -208,7 +208,10 @@ class Controller(ControlLaw, Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
-AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+if TYPE_CHECKING:
+    AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+else:
+    AnyController = ControlLaw  # its base, as the laws of the others are imported where they are used
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
@@ -272,7 +275,7 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
-def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
+def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
     """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
 
     Raises:

@@ -28,7 +28,6 @@ from models.laws.linear import LinearLaw
 from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.augmented import append, gain, with_weights
@@ -37,6 +36,7 @@ from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
+    from synth.analysis.lower_bound import LowerBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,9 @@ class ClosedLoop:
         """The closed loop from w to z."""
         return self.lasting or self.plant.closed_loop(self.G)
 
-    def certificate(self, X: Array | None = None, eta: float | None = None, lower_bound: LowerBound | None = None) -> Certificate:
+    def certificate(
+        self, X: Array | None = None, eta: float | None = None, lower_bound: "LowerBound | None" = None
+    ) -> Certificate:
         """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
         if self.lasting is None:
             return certify(self.plant, self.G, X, eta, lower_bound, by_itself=self.by_itself)

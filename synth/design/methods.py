@@ -13,11 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.extensions import METHODS
-from models.laws.law_structure import FULL
-from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
+from models.common.extensions import CALCULATIONS, METHODS
+from models.common.printed import digits, percent, rough
+from models.laws.design_methods import FULL
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
+from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
+FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
+KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 
 
@@ -41,6 +46,30 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
         free = problem.alternatives and not problem.stable and problem.fastest_pole is None
         return ("riccati", *(("h2", *static) if free else ())), ("descent",)
     return static, ("descent", "refinement") if problem.alternatives else ("descent",)
+
+
+def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
+    """Returns why descent goes on from a result of the two steps, in words; empty if this result suffices, and for others.
+
+    The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
+    moves; L (14) ties a gain to that X all the same. So with filters descent goes on from the two steps. It also goes on
+    from a gain whose norm is above that without control.
+    """
+    plant, certificate = problem.plant, steps.certificate
+    norm = certificate.norm.value
+    if steps.method != TWO_STEPS:
+        return ""
+    if np.any(plant.Dyw):
+        return KNOW_NO_NOISE
+    entry = float(np.abs(steps.gain).max(initial=0.0))
+    if problem.largest_gain < LARGEST_GAIN and entry > problem.largest_gain:
+        return f"the two-step method needs a gain of {rough(entry)}, but {problem.largest_gain:g} is the largest allowed"
+    if plant.weights and ((gap := certificate.gap) is None or gap > FAR):
+        far = f", {percent(gap)} above the lower bound" if gap is not None else ""
+        return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
+    if is_stable(plant.A, plant.dt) and (passive := hinf_norm(plant).value) < norm * (1 - SEEN):
+        return f"the two-step method ends at {digits(norm)}, above {digits(passive)} without control"
+    return ""
 
 
 @numerics()
@@ -71,6 +100,8 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
         assert failures, "a method returns a result"
         raise failures[0] if problem.order == FULL else failures[-1]
     for name in further:
+        if name == "descent" and problem.start is not None and not insufficient(problem, problem.start):
+            continue
         problem = problem.starting(METHODS.load(name)(problem, progress))
     assert problem.start is not None, "a method returns a result"
     return _instead_of_riccati(problem, problem.start, failures[0]) if failures and problem.order == FULL else problem.start
@@ -86,10 +117,8 @@ def _possible(problem: DesignProblem) -> DesignProblem:
 
     check_stabilisable(problem.plant, problem.states)
     if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
-        from synth.lmi.full_order_bound import find_lower_bound
-
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            return replace(problem, lower_bound=find_lower_bound(problem.plant))
+            return replace(problem, lower_bound=CALCULATIONS.load("lower bound")(problem.plant))
     return problem
 
 

@@ -9,13 +9,11 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import digits
-from models.laws.combinations import FULL
-from models.laws.design_methods import PREVIEW
+from models.laws.design_methods import FULL, PREVIEW
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
 from synth.design.problem import H2_NORM, MU, DesignProblem, DesignResult
@@ -23,6 +21,7 @@ from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
+    from synth.analysis.lower_bound import LowerBound
 
 STATE_ALONE = (
     "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
@@ -30,7 +29,7 @@ STATE_ALONE = (
 )
 
 
-def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> DesignProblem:
+def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound") -> DesignProblem:
     """Returns the design problem of a section, without goals.
 
     Args:
@@ -85,7 +84,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     return problem
 
 
-def certify_ideal_loop(posed: Problem, lower_bound: LowerBound) -> Callable[[LinearLaw], Certificate]:
+def certify_ideal_loop(posed: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies the ideal loop of a law on the readings."""
     from synth.analysis.bounding import certify_tightly
 

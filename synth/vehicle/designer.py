@@ -5,19 +5,20 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, validated
 from models.common.errors import InputError
+from models.common.extensions import CALCULATIONS
 from models.laws.combinations import check_command, goes
-from models.laws.law_structure import DesignRequest
+from models.laws.design_request import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.later_bound import LaterBound
 from synth.controller.controller import AnyController, Controller, certify_law, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
@@ -25,12 +26,12 @@ from synth.design.methods import design as design_for
 from synth.design.problem import DesignProblem, Progress, quiet
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint
-from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.vehicle.design_problem import controller_of, design_problem
 
 if TYPE_CHECKING:
+    from synth.analysis.lower_bound import LowerBound, SampledBound
     from synth.vehicle.refined import RefinedController
 
 
@@ -56,9 +57,9 @@ class SharedDesignData:
         return state_path(self.plant, self.states)
 
     @cached_property
-    def beyond_control(self) -> LowerBound:
+    def beyond_control(self) -> "LowerBound":
         """Lower bound from the invariant point, which holds for any measurements without noise."""
-        return bound_beyond_control(self.plant)
+        return CALCULATIONS.load("bound beyond control")(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
         """Returns the design problem of a controller that measures these signals with that noise.
@@ -68,7 +69,7 @@ class SharedDesignData:
         """
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
-    def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> "LowerBound":
         """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback.
 
         For heights over the datum, it is the bound of any measurements.
@@ -83,7 +84,9 @@ class SharedDesignData:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = find_lower_bound(plant.unmeasured if everything else plant, None, path, self.beyond_control)
+            self._bounds[key] = CALCULATIONS.load("lower bound")(
+                plant.unmeasured if everything else plant, None, path, self.beyond_control
+            )
         return self._bounds[key]
 
 
@@ -127,7 +130,7 @@ class Designer:
         return self.state_path[-1]
 
     @property
-    def beyond_control(self) -> LowerBound:
+    def beyond_control(self) -> "LowerBound":
         """Lower bound from the invariant point, which holds for any measurements."""
         return self.shared().beyond_control
 
@@ -135,18 +138,21 @@ class Designer:
         """Returns the problem that a controller with these measured signals is designed for and judged with."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
-    def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
         """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
-    def sampled_bound(self, controller: Controller) -> SampledBound | None:
+    def _later_bound(self, entry: ControllerEntry) -> Any:
+        return LaterBound(lambda: self.lower_bound(entry.measured, entry.hardware))
+
+    def sampled_bound(self, controller: Controller) -> "SampledBound | None":
         """Returns the lower bound of the sampled loop, for any controller with the measurements of one designed for it.
 
         None for other controllers, or if none is proved.
         """
         return self._sampled_bound(self._entry(controller.name)) if controller.sampled else None
 
-    def _sampled_bound(self, entry: ControllerEntry) -> SampledBound | None:
+    def _sampled_bound(self, entry: ControllerEntry) -> "SampledBound | None":
         key = entry.measured, entry.hardware.noise
         if key not in self._sampled_bounds:
             from synth.controller.implementation_norm import held_problem
@@ -197,7 +203,7 @@ class Designer:
             check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
         posed = self.problem(entry.measured, entry.hardware)
         try:
-            lower_bound = self.lower_bound(entry.measured, entry.hardware)
+            lower_bound = self._later_bound(entry)
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
@@ -207,7 +213,9 @@ class Designer:
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
-    def design_problem(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, method: str = "") -> DesignProblem:
+    def design_problem(
+        self, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound", method: str = ""
+    ) -> DesignProblem:
         """Returns the design problem of a section without goals.
 
         Args:
@@ -248,7 +256,7 @@ class Designer:
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
         try:
-            certificate, wrong = certify_law(posed, entry, self.lower_bound(entry.measured, hardware))
+            certificate, wrong = certify_law(posed, entry, self._later_bound(entry))
         except InputError as error:
             raise self.vehicle.located(error) from error
         controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import digits
 from models.kinds.linear_model import LinearModel
-from models.laws.combinations import FULL
+from models.laws.design_methods import FULL
 from models.laws.filter import Filter
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from models.document.description import about
-from models.document.document import Document, Table, notes
+from models.document.document import Document, Pivot, Table, notes
 from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, margined, rgb, styles, thinned
 from models.document.outputs import check_outputs
 from models.document.page import Page, render
 from models.document.picture import FONT, cells, panel_svg, ticks, write_picture
-from models.document.reading import Pivot, aligned, notation, read, write_rows
+from models.document.reading import aligned, notation, read, write_rows
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.drive.regime import REGIME_ENDS

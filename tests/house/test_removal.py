@@ -43,7 +43,9 @@ def removable() -> dict[str, tuple[str, list[str]]]:
     every = [(sort, *row) for sort, rows in EXTENSIONS.items() if sort not in TOGETHER for row in rows.items()]
     modules = {where.partition(":")[0]: sort for sort, _, where in every}
     alone = {module: sort for module, sort in modules.items() if not set(users(module)) - {"synth/__init__.py"}}
-    return {module: (sort, [name for _, name, where in every if where.startswith(f"{module}:")]) for module, sort in alone.items()}
+    return {
+        module: (sort, [name for _, name, where in every if where.startswith(f"{module}:")]) for module, sort in alone.items()
+    }
 
 
 SAMPLES = [next(module for module, (of, _) in removable().items() if of == sort) for sort in EXTENSIONS if sort not in TOGETHER]
