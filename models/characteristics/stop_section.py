@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from models.characteristics import SIDES, STOP, STOP_KEYS
 from models.common.errors import InputError, quoted
-from models.common.extensions import SECTIONS
+from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
 
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
@@ -58,7 +58,7 @@ class StopStiffness(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
         """Returns the stiffness, a tuple of coefficients, or a `StopTable`."""
         if isinstance(value, Mapping):
-            return SECTIONS.load("stop table")(value)
+            return FEATURES.load("stops").read_stop_table(value)
         if not isinstance(value, (list, tuple)):
             return SI("N/m").number(HERE, value)
         if not 1 <= len(value) <= MOST:
@@ -74,7 +74,7 @@ class StopStiffness(Key):
         """The JSON schema of a number, a list of coefficients, or a table."""
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
-        table = json_schema(SECTIONS.load("table of a stop"))
+        table = json_schema(FEATURES.load("curves in files").StopTableSection)
         return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
 
 

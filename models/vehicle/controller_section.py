@@ -15,9 +15,9 @@ from models.laws.law_structure import StructureSection
 from models.laws.linear import MATRICES, LinearLaw
 from models.laws.python_law import ProgramSection
 from models.laws.semi_active import SemiActiveSection
+from models.laws.weighted_errors import WeightedErrors
 from models.vehicle.controllers import ROWS, GivenSection, matrix_rows
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD
-from models.vehicle.weighted_errors import WeightedErrors
 
 
 def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:

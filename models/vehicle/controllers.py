@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.checks import is_finite
 from models.common.errors import InputError, alike, error_in, listing, quoted
-from models.common.extensions import SECTIONS
+from models.common.extensions import FEATURES
 from models.common.printed import size
 from models.common.schema import HERE, AnyTable, BySignal, Choice, Flag, ReadBy, keys, read
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from models.laws.goals import Goals
     from models.laws.python_law import Programmed, PythonLaw
     from models.laws.semi_active import SemiActive, SemiActiveLaw
-    from models.vehicle.weighted_errors import WeightedErrors
+    from models.laws.weighted_errors import WeightedErrors
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
@@ -225,7 +225,8 @@ class GivenSection(SignalSection):
 
 def _section_class(given: Any) -> type[GivenSection]:
     """Returns the class that reads a section: the one of all keys if it has one of them."""
-    return SECTIONS.load("controllers") if isinstance(given, Mapping) and {*given} - {*keys(GivenSection)} else GivenSection
+    few = not isinstance(given, Mapping) or {*given} <= {*keys(GivenSection)}
+    return GivenSection if few else FEATURES.load("all keys of controllers").ControllerSection
 
 
 def read_controllers(
@@ -261,7 +262,7 @@ def read_controllers(
         if name in controllers:
             raise InputError(f"{where} appears twice, in two spellings that look the same; rename one of the two")
         check_name(where, name, RESERVED)
-        if not isinstance(given, Mapping) and written in keys(SECTIONS.load("controllers")):
+        if not isinstance(given, Mapping) and written in keys(FEATURES.load("all keys of controllers").ControllerSection):
             raise InputError(f"[controllers] {written} is a key of a single controller; write it in a section [controllers.NAME]")
         parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
         check_together(where, parts)

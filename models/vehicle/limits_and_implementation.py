@@ -13,7 +13,7 @@ from models.characteristics.stop_section import StopPair, StopSection
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
-from models.common.extensions import CALCULATIONS, SECTIONS
+from models.common.extensions import FEATURES
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
@@ -74,7 +74,7 @@ class Limits(LimitsSection):
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
         """Returns the bump stops of a corner, or None if it has no stops."""
-        return CALCULATIONS.load("stops of a corner")({"": self, **dict(self.places)}, corner) if self.stopped else None
+        return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
         """Returns the stops in bump and rebound of a vehicle's suspensions, by deflection, without those that have no stops."""
@@ -135,7 +135,7 @@ class Limits(LimitsSection):
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []
         if self.stopped:
-            phrases += CALCULATIONS.load("stops in words")({part.corner: self.stops_at(part.corner) for part in suspensions})
+            phrases += FEATURES.load("stops").stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
         if self.force_rate is not None:
@@ -289,7 +289,7 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
         return limits
     if not corners:
         raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
-    return replace(limits, places=tuple(SECTIONS.load("limits of places")(common, own, corners).items()))
+    return replace(limits, places=tuple(FEATURES.load("stops").read_places(common, own, corners).items()))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.common.extensions import CALCULATIONS
+from models.common.extensions import FEATURES
 from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
@@ -115,7 +115,7 @@ def run_object(run: RunResult) -> dict[str, Any]:
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
         **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
-        **({"stops": CALCULATIONS.load("stops that a run reaches")(run)} if run.vehicle.limits.stopped else {}),
+        **({"stops": FEATURES.load("stops that a run reaches").stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **_decay_object(run),
         **({"code_difference": code.record} if (code := run.prediction.code_effect) is not None else {}),
@@ -148,8 +148,7 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
 
 def _dampers_object(run: RunResult) -> dict[str, Any]:
     """Returns the force that semi-active dampers did not give as a JSON object."""
-    from sim.runs.dampers import shortfalls
-
+    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
     return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
 
 
@@ -262,7 +261,7 @@ def _when(run: RunResult) -> str:
         return "over the whole run"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
-        ended[ended.index(BUMP_STOP.name)] = CALCULATIONS.load("stops reached at a time")(run, agreement.until)
+        ended[ended.index(BUMP_STOP.name)] = FEATURES.load("stops that a run reaches").stop_names(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
@@ -313,7 +312,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
         full: False to leave details out, which need the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
-    contact = CALCULATIONS.load("hardest contact with stops")(run) if run.vehicle.parts.strokes else ""
+    contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""
     stops = notes(*filter(None, [contact]))
     if not full and detail == "full":
         return stops
@@ -350,7 +349,8 @@ def _events(run: RunResult) -> Iterator[str]:
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
-        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, CALCULATIONS.load("stops reached at a time")(run, when), 1)
+        stops = FEATURES.load("stops that a run reaches").stop_names(run, when)
+        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stops, 1)
     yield from (line.format(when=WHEN.text(times[end.name])) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     yield from (
@@ -501,18 +501,16 @@ def _decay_words(run: RunResult) -> list[str]:
     """Returns a sentence on the free decay of a run from a given start; empty without one."""
     if not run.vehicle.start:
         return []
-    from sim.runs.decay import decay_words
 
-    return [words] if (words := decay_words(run)) else []
+    return [words] if (words := FEATURES.load("decay").decay_words(run)) else []
 
 
 def _decay_object(run: RunResult) -> dict[str, Any]:
     """Returns the modes of a free decay for JSON; empty without a given start."""
     if not run.vehicle.start:
         return {}
-    from sim.runs.decay import decay_object
 
-    return decay_object(run)
+    return FEATURES.load("decay").decay_object(run)
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
@@ -537,8 +535,7 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
 
 def _damper_notes(run: RunResult) -> list[Statement]:
     """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
-    from sim.runs.dampers import shortfalls
-
+    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Time
 from models.common.errors import InputError
-from models.common.extensions import CALCULATIONS
+from models.common.extensions import FEATURES
 from models.common.plausibility import remarks
 from models.document.document import Block, Document
 from models.document.text import Shown, facts
@@ -59,9 +59,8 @@ class Run(RunResult, Shown):
     def drawn(self) -> tuple[Block, ...]:
         """The sizes of all signals, and the first weighted one over time."""
         from models.document.figure import BLUE, Figure, Style
-        from sim.runs.time_histories import history_panels
 
-        panels = history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
+        panels = FEATURES.load("time histories").history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
         figure = Figure("run", "Lines show the exact sampled response, markers show MuJoCo.", tuple(panels), columns=1)
         return (signal_table(self), *([figure] if panels else []))
 
@@ -183,7 +182,7 @@ def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[R
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
-        effect_of = CALCULATIONS.load("effect of exported code")
+        effect_of = FEATURES.load("effect of exported code").code_effect
         effect = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
         whole[i] = replace(one, code_effect=effect)
     return whole

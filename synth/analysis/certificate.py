@@ -26,15 +26,18 @@ The LMI is *proved*, in exact arithmetic on the given numbers (`analysis/rigorou
 stable and its norm below the bound. The norm itself is computed by two routes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import about, difference, digits, magnitude
 from models.document.document import Document
 from models.document.text import Shown, facts
@@ -209,11 +212,10 @@ class Certificate(Shown):
     @property
     def drawn(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop over frequency, with bound and lower bound."""
-        from models.document.notebook import gain_figure
 
         loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
         title = "Largest singular value of the closed loop, from w to z."
-        return (gain_figure(title, loop.A, loop.Bw, loop.C, loop.Dw, loop.dt, levels),)
+        return (FEATURES.load("figures in notebooks").gain_figure(title, loop.A, loop.Bw, loop.C, loop.Dw, loop.dt, levels),)
 
     @property
     def bound(self) -> float | None:
@@ -417,3 +419,28 @@ def _norm_rounding(loop: Plant, at: float) -> float:
     R = np.abs(np.linalg.inv(points[:, None, None] * np.eye(len(A)) - A))
     passes = np.abs(loop.C * scale) @ R @ np.abs(loop.Bw / scale[:, None])
     return float(100 * np.finfo(float).eps * np.linalg.norm(passes, axis=(1, 2)).max(initial=0.0))
+
+
+class LaterBound:
+    """A `LowerBound` that is proved when one of its attributes is first read; for workers, it is proved before it is sent."""
+
+    def __init__(self, prove: Callable[[], Any]) -> None:
+        self._prove = prove
+
+    @cached_property
+    def _proved(self) -> Any:
+        return self._prove()
+
+    def __getattr__(self, name: str) -> Any:
+        """Returns an attribute of the bound."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._proved, name)
+
+    def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[Any]]:
+        return proved, (self._proved,)
+
+
+def proved(bound: Any) -> Any:
+    """Returns a bound itself."""
+    return bound

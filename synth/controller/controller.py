@@ -8,6 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Checked, validated
 from models.common.errors import InputError, error_in, listing
+from models.common.extensions import FEATURES
 from models.document.document import Document
 from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
@@ -264,15 +265,15 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     Raises:
         InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
     """
-    from synth.analysis.record import false_claims, read_proof
+    records = FEATURES.load("certificates as data")
 
     law, record = _law(entry), entry.certificate or {}
     with error_in(f"[controllers.{entry.name}]"):
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
-        X, eta, lower_bound = read_proof(record, posed.plant, of_law)
+        X, eta, lower_bound = records.read_proof(record, posed.plant, of_law)
         certificate = judged.certificate(X, eta, lower_bound)
-    return certificate, (*certificate.failures, *false_claims(record, certificate))
+    return certificate, (*certificate.failures, *records.false_claims(record, certificate))
 
 
 def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:

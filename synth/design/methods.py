@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.extensions import CALCULATIONS, METHODS
+from models.common.extensions import FEATURES, METHODS
 from models.common.printed import digits, percent, rough
 from models.laws.design_methods import FULL
 from synth.analysis.norm import hinf_norm
@@ -118,7 +118,7 @@ def _possible(problem: DesignProblem) -> DesignProblem:
     check_stabilisable(problem.plant, problem.states)
     if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            return replace(problem, lower_bound=CALCULATIONS.load("lower bound")(problem.plant))
+            return replace(problem, lower_bound=FEATURES.load("lower bounds").find_lower_bound(problem.plant))
     return problem
 
 

@@ -23,6 +23,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.laws.linear import unchecked_static_law
 from synth.analysis.certificate import FASTEST, Certificate, certify
 from synth.design.problem import TWO_STEPS, DesignProblem, DesignResult, Progress, WellPosedProblem
@@ -133,9 +134,8 @@ def well_posed(plant: Plant) -> WellPosedProblem:
         own = plant.differences.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces))
         if sees_every_state(own):
             return WellPosedProblem(plant, regular=True)
-    from synth.design.degenerate import regularised
 
-    return regularised(plant)
+    return FEATURES.load("degenerate plants").regularised(plant)
 
 
 NO_SECOND_STEP = "problem (25) has no solution for the X of (22), but another gain may exist"
@@ -159,9 +159,7 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
     problem, plant = well_posed(plant), plant.unmeasured
     own = own_units(plant)
     if not problem.regular:
-        from synth.design.degenerate import check_marginal_modes
-
-        check_marginal_modes(plant, problem.plant, states)
+        FEATURES.load("degenerate plants").check_marginal_modes(plant, problem.plant, states)
     try:
         return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem.plant))]
     except NoSolutionError as error:
@@ -171,9 +169,7 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
             raise InfeasibleError(reasons) from error
         raise
     except DesignError as error:
-        from synth.design.degenerate import unpenalised_inputs
-
-        raise type(error)("; ".join(unpenalised_inputs(plant)) or str(error)) from error
+        raise type(error)("; ".join(FEATURES.load("degenerate plants").unpenalised_inputs(plant)) or str(error)) from error
 
 
 @numerics()

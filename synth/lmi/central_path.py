@@ -28,7 +28,7 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.extensions import CALCULATIONS
+from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.certificate import bounded_real_matrix
 from synth.lmi.barrier import Barrier, Derivatives, Factored, WithLogTerm, boundary, newton
@@ -137,7 +137,7 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
-        part = CALCULATIONS.load("remove unobservable states")(plant, Q, R, step)
+        part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
     if part is not None:  # X may grow there without bound: the path is that of the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
@@ -344,14 +344,14 @@ class _Path:
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
         if basis.size > DENSE:
-            return CALCULATIONS.load("barrier of a large path")(self.plant, self.free)
+            return FEATURES.load("large plants").path_barrier(self.plant, self.free)
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
         """Returns the barrier of the search for a feasible point, in which the last unknown is s."""
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
-            return CALCULATIONS.load("barrier of a large start")(self.plant, self.free, LARGEST_Y)
+            return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)
         without_z = np.r_[:n, len(basis.system) : len(basis.F0)]
         lyapunov = np.ascontiguousarray(basis.F[:, without_z[:, None], without_z])
         lyapunov[-1] = 0.0

@@ -11,14 +11,13 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, validated
 from models.common.errors import InputError
-from models.common.extensions import CALCULATIONS
+from models.common.extensions import FEATURES
 from models.laws.combinations import check_command, goes
 from models.laws.design_request import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate
-from synth.analysis.later_bound import LaterBound
+from synth.analysis.certificate import Certificate, LaterBound
 from synth.controller.controller import AnyController, Controller, certify_law, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
@@ -59,7 +58,7 @@ class SharedDesignData:
     @cached_property
     def beyond_control(self) -> "LowerBound":
         """Lower bound from the invariant point, which holds for any measurements without noise."""
-        return CALCULATIONS.load("bound beyond control")(self.plant)
+        return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
         """Returns the design problem of a controller that measures these signals with that noise.
@@ -84,7 +83,7 @@ class SharedDesignData:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = CALCULATIONS.load("lower bound")(
+            self._bounds[key] = FEATURES.load("lower bounds").find_lower_bound(
                 plant.unmeasured if everything else plant, None, path, self.beyond_control
             )
         return self._bounds[key]
@@ -155,11 +154,10 @@ class Designer:
     def _sampled_bound(self, entry: ControllerEntry) -> "SampledBound | None":
         key = entry.measured, entry.hardware.noise
         if key not in self._sampled_bounds:
-            from synth.controller.implementation_norm import held_problem
-            from synth.lmi.sampled_bound import find_sampled_bound
-
             near = self.lower_bound(entry.measured, entry.hardware).gamma or 1.0
-            self._sampled_bounds[key] = find_sampled_bound(held_problem(self.vehicle, entry), near)
+            self._sampled_bounds[key] = FEATURES.load("bounds of sampled loops").find_sampled_bound(
+                FEATURES.load("norm as implemented").held_problem(self.vehicle, entry), near
+            )
         return self._sampled_bounds[key]
 
     @validated
@@ -190,9 +188,8 @@ class Designer:
         errors = self._entry(controller.name).errors
         if errors is None:
             return controller
-        from synth.vehicle.weighted_errors import with_robustness
 
-        return with_robustness(self.vehicle, controller, errors)
+        return FEATURES.load("weighted errors").with_robustness(self.vehicle, controller, errors)
 
     def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
         """Designs a controller, or certifies a given one; see `design`."""
@@ -205,9 +202,7 @@ class Designer:
         try:
             lower_bound = self._later_bound(entry)
             if entry.goals is not None:
-                from synth.vehicle.multi_objective import goals_design
-
-                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
+                return FEATURES.load("goals").goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
             problem = self.design_problem(entry, posed, lower_bound, "zero_l" if zero_l else "")
             return controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
         except DesignError as error:
@@ -261,23 +256,22 @@ class Designer:
             raise self.vehicle.located(error) from error
         controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
         if entry.goals is not None:
-            from synth.vehicle.multi_objective import verify_specifications
-
             controller = replace(
-                controller, specifications=verify_specifications(self.vehicle, entry, entry.goals, law, self.search)
+                controller,
+                specifications=FEATURES.load("goals").verify_specifications(self.vehicle, entry, entry.goals, law, self.search),
             )
         if entry.certificate:
-            from synth.controller.implementation_norm import false_sampled_bound
-
-            wrong += false_sampled_bound(self.vehicle, entry)
+            wrong += FEATURES.load("norm as implemented").false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
         if wrong and not certificate.stable:  # sampling may cure it
             cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
             wrong = tuple(each for each in wrong if each not in cured)
         if wrong:
-            from synth.vehicle.certified_vehicle import changed_since
-
-            wrong = (changed,) if (changed := changed_since(self.vehicle, entry)) else wrong
+            wrong = (
+                (changed,)
+                if (changed := FEATURES.load("changes since a certificate").changed_since(self.vehicle, entry))
+                else wrong
+            )
         return replace(controller, false_claims=wrong)
 
     @validated
@@ -290,7 +284,6 @@ class Designer:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
             DesignError: the gain does not stabilise the vehicle, or no start leads to a gain.
         """
-        from synth.vehicle.refined import refined
 
         entry = self._entry(name)
         measured = entry.measured
@@ -306,7 +299,7 @@ class Designer:
         posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
         if entry.request.sampled and start is None:
             self.design(name)  # raises the reason
-        return refined(self.vehicle, entry, posed, start, lower_bound)
+        return FEATURES.load("refinement").refined(self.vehicle, entry, posed, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""
@@ -319,9 +312,8 @@ class Designer:
             or not controller.certificate.stable
         ):
             return 0.0
-        from synth.vehicle.refined import worth
 
-        return worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
+        return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """Recomputes the certificate of a law of the file from its proofs. Returns it with the claims that fail, in words.
