@@ -12,9 +12,9 @@ from models.characteristics import SIDES
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.extensions import FEATURES
-from models.common.plausibility import Known
 from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
+from models.kinds.plausibility import Known
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 
 
 def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
-    """Yields the quantities of a vehicle by place, with the names that `models.common.plausibility.RULES` has for them.
+    """Yields the quantities of a vehicle by place, with the names that `models.kinds.plausibility.RULES` has for them.
 
     For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
     dampers do not count: `suspension_doubts` remarks on them.

@@ -15,12 +15,12 @@ from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.extensions import FEATURES
 from models.common.files import STDOUT, parse_toml, path_from, read_text
-from models.common.plausibility import remarks
 from models.common.schema import AnyTable, BySignal, Section, Text, keys, placed, read
 from models.document.document import Document
 from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
+from models.kinds.plausibility import remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
 from models.parts.part import Parts

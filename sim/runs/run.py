@@ -11,9 +11,9 @@ from models.common.arrays import Array
 from models.common.checks import Time
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.common.plausibility import remarks
 from models.document.document import Block, Document
 from models.document.text import Shown, facts
+from models.kinds.plausibility import remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE

@@ -108,10 +108,10 @@ REACHES = {
 # logs. It imports itself alone, and knows all else by its name in `models.common.extensions`.
 CORE = {  # package -> its modules that are core
     "models.characteristics": "stop_section",
-    "models.common": "arrays checks cli command errors extensions files lazy plausibility printed schema threads units",
+    "models.common": "arrays checks cli command errors extensions files lazy printed schema threads units",
     "models.document": "document field figure outputs text",
     "models": "full_car half_car quarter_car",
-    "models.kinds": "at_wheels car kind linear_model links rigid_body rigid_motion signals strut_and_tyre",
+    "models.kinds": "at_wheels car kind linear_model links plausibility rigid_body rigid_motion signals strut_and_tyre",
     "models.laws": "combinations design_methods design_request filter law linear",
     "models.parts": "part",
     "models.roads": "iso8608 road spectrum",
