@@ -9,12 +9,13 @@ import sys
 import pytest
 
 from models.common.extensions import EXTENSIONS, METRICS
+from tests.house.test_architecture import MODULES, core_modules
 from tests.support.commands import ROOT, in_the_suite
 from tests.support.sources import sources
 
 TABLE = "models/common/extensions.py"
 TOGETHER = {"metric"}  # sorts whose names stand in one module: a class is taken away, not the module
-USED = {"design method"}  # sorts some of whose modules are used by others, too
+USED = {"design method", "feature"}  # sorts some of whose modules are used by others, too
 BUMP = 'from sim.bump import main; sys.exit(main("--controller passive --duration 0.2 --no-logs".split()))', "agrees"
 USE = {  # what works without a module, and prints; the passive vehicle, which each command drives, has a linear law
     "design method": ('from synth.__main__ import main; sys.exit(main(["--controller", "I"]))', "7.843188"),
@@ -78,6 +79,20 @@ def test_methods_are_named_by_their_table():
 def test_only_the_table_names_a_module(sort):
     """No file imports a module of an extension, which the table alone names."""
     assert not [(path, where) for where in EXTENSIONS[sort].values() for path in users(where.partition(":")[0])]
+
+
+def test_the_core_drives_without_any_extension(tmp_path):
+    """The files of the core alone design, drive and compare the paper's controller of three cars, with the table as it is."""
+    packages = {path.relative_to(ROOT) for path in MODULES.values() if path.name == "__init__.py"}
+    data = {path.relative_to(ROOT) for suffix in ("toml", "xml") for path in (ROOT / "models").glob(f"*.{suffix}")}
+    for path in {MODULES[name].relative_to(ROOT) for name in core_modules()} | packages | data:
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, tmp_path / path)
+    code = CHECK + "from sim.bump import main\nfor car in ('quarter_car', 'half_car', 'full_car'):\n"
+    code += "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--no-logs'])\n"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert done.stdout.count("MuJoCo agrees") == 3
 
 
 WITHOUT_METRIC = """
