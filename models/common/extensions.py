@@ -17,7 +17,7 @@ class Registry(dict[str, str]):
     The order of names is that of columns and messages.
 
     Attributes:
-        sort: what these extensions are, in the singular, for messages.
+        sort: noun for one of these extensions, for messages.
     """
 
     def __init__(self, sort: str, rows: Mapping[str, str]) -> None:

@@ -30,12 +30,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_shape
+from models.common.checks import Must, check_shape
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import about, difference, digits, magnitude
@@ -51,6 +51,12 @@ from synth.plant.units import speed
 if TYPE_CHECKING:
     from models.document.figure import Figure
     from synth.analysis.lower_bound import LowerBound
+
+
+_BOUND = "a lower bound, such as synth.find_lower_bound returns or None"  # whose class is imported where it is proved
+KnownBound = Annotated[
+    "LowerBound | None", Must(_BOUND, lambda one: one is None or type(one).__name__ in ("LowerBound", "LaterBound"))
+]
 
 
 def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
@@ -321,7 +327,7 @@ def certify(
     G: Array | Feedback,
     X: Array | None = None,
     eta: float | None = None,
-    lower_bound: "LowerBound | None" = None,
+    lower_bound: KnownBound = None,
     by_itself: Plant | None = None,
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.

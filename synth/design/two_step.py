@@ -25,7 +25,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.laws.linear import unchecked_static_law
-from synth.analysis.certificate import FASTEST, Certificate, certify
+from synth.analysis.certificate import FASTEST, Certificate, KnownBound, certify
 from synth.design.problem import TWO_STEPS, DesignProblem, DesignResult, Progress, WellPosedProblem
 from synth.lmi.central_path import LIMIT, CentralPoint, central_path, fits, unknowns
 from synth.lmi.output_nulling import sees_every_state
@@ -34,7 +34,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, 
 from synth.plant.units import independent, own_units, unit_rows
 
 if TYPE_CHECKING:
-    from synth.analysis.lower_bound import LowerBound
+    pass
 
 MOST = 1100  # unknowns of step 1, 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative distance up to which a state gain G counts as K C_y
@@ -173,7 +173,7 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
 
 
 @numerics()
-def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: "LowerBound | None" = None) -> DesignResult:
+def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: KnownBound = None) -> DesignResult:
     """Returns the state feedback, the optimum of (22).
 
     Args:
@@ -191,7 +191,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: "
     return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: "LowerBound | None" = None) -> DesignResult:
+def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: KnownBound = None) -> DesignResult:
     """Returns the gain furthest along a central path whose certificate holds and whose loop is not too fast for actuators.
 
     If all certified loops are too fast, as for a plant that hardly moves by itself, the slowest of these loops is the reference
@@ -234,7 +234,7 @@ def two_step_design(
     plant: Plant,
     Cy: Array | None = None,
     path: Sequence[CentralPoint] = (),
-    lower_bound: "LowerBound | None" = None,
+    lower_bound: KnownBound = None,
     states: Sequence[str] = (),
 ) -> DesignResult:
     """Returns the static gain of the paper's two steps, with its certificate: L (14) from the X of (22), then (25).
@@ -307,7 +307,7 @@ def two_step_design(
 
 
 @numerics()
-def zero_l_design(plant: Plant, lower_bound: "LowerBound | None" = None) -> DesignResult:
+def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
     """Returns the static gain of (25) with L = 0, in one step (remark 4).
 
     Raises:
