@@ -104,6 +104,7 @@ _ROWS = {
         "integrals": "models.vehicle.integrals",
         "payload": "models.vehicle.payload",
         "semi-active coefficients": "models.vehicle.semi_active_coefficients",
+        "discrete plants": "synth.plant.discrete",
         "zeros": "synth.analysis.interpolation",
         "sampled norm": "synth.analysis.sampled_norm",
         "exported code": "synth.controller.export.folder",

@@ -8,10 +8,10 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate, LmiProof, certify, eta_of, prove_bound
 from synth.analysis.stability import balance
-from synth.plant.discrete import continuous_loop
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 from synth.plant.units import size
@@ -51,7 +51,7 @@ def certify_tightly(
         return plain
     # A peak near z = -1 is mapped to 0, not to infinity: there the weight of the Riccati equation would be singular.
     near_nyquist, step = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
-    loop = continuous_loop(plant.closed_loop(G), turned=near_nyquist)
+    loop = FEATURES.load("discrete plants").continuous_loop(plant.closed_loop(G), turned=near_nyquist)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
     rates = plant.differences
     unit = float(np.linalg.norm(rates.Dw, 2)) + size(rates.C) * size(rates.Bw) / size(rates.A)

@@ -131,7 +131,7 @@ CORE = {  # package -> its modules that are core
     "synth.controller": "controller disk_margin law_margins loop_of problem report",
     "synth.design": "methods problem two_step",
     "synth.lmi": "barrier central_path output_nulling unknowns",
-    "synth.plant": "augmented discrete double_double generalized loop numerics state_space units",
+    "synth.plant": "augmented double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
 MOST_CORE = 28_100  # lines of the core
