@@ -47,7 +47,7 @@ from models.roads.profile_file import TableSettings
 from models.roads.rig import Rig
 from models.roads.rig_file import RigSettings
 from models.roads.road import Bump
-from models.vehicle.controllers import ControllerSection
+from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 
 def named(where: str) -> "Any":
-    """Returns what a registry names as "module:name"."""
+    """Returns what a registry names as "module:name", or as "module"."""
     module, _, name = where.partition(":")
-    return getattr(importlib.import_module(module), name)
+    found = importlib.import_module(module)
+    return getattr(found, name) if name else found
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":

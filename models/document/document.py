@@ -6,12 +6,13 @@ report is a page of many such documents (`models.document.page`), so that both h
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from models.common.printed import by_text
 from models.document.field import Detail, Field, T, cells, titles
-from models.document.figure import Figure
-from models.document.reading import Pivot, Reading, read
+
+if TYPE_CHECKING:
+    from models.document.figure import Figure
 
 State = Literal["note", "holds", "ends", "fails"]  # of a claim: none is made; it holds; it ends somewhere; it is wrong
 STATES: tuple[State, ...] = ("note", "holds", "ends", "fails")
@@ -32,6 +33,21 @@ class Statement:
     text: str
     state: State = "note"
     detail: Detail = "normal"
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """A short form of a long table: one row for each of some columns' values, one column for each value of another.
+
+    Attributes:
+        rows: headings of the columns that name a row; a column `unit` follows the name before it, in brackets.
+        across: heading of the column whose values become columns.
+        values: headings of the numbers that are shown.
+    """
+
+    rows: tuple[str, ...]
+    across: str
+    values: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -82,16 +98,6 @@ class Table:
         return cls(name, caption, titles(fields), cells(fields, ones), words, pivot, detail, wide, keys)
 
     @property
-    def reading(self) -> Reading:
-        """Returns the table as a page shows it first."""
-        return read(self.headings, self.rows, self.words, self.pivot)
-
-    @property
-    def whole(self) -> Reading | None:
-        """Returns the whole table as a page shows it below the short form, or None if that is all."""
-        return read(self.headings, self.rows, self.words) if self.pivot is not None else None
-
-    @property
     def records(self) -> list[dict[str, str]]:
         """Returns the rows for JSON, their cells by key."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
@@ -132,9 +138,9 @@ class Document:
         return tuple(block for block in self.all() if isinstance(block, Table))
 
     @property
-    def figures(self) -> tuple[Figure, ...]:
+    def figures(self) -> "tuple[Figure, ...]":
         """Returns all figures."""
-        return tuple(block for block in self.all() if isinstance(block, Figure))
+        return tuple(block for block in self.all() if not isinstance(block, Statement | Table | Document))
 
     @property
     def state(self) -> State:
@@ -159,7 +165,8 @@ def statements(said: Iterable[tuple[str, str]], detail: Detail = "normal") -> li
 
 def is_shown(block: Block, detail: Detail) -> bool:
     """Returns True if a block is shown at this level of detail."""
-    return isinstance(block, Figure) or LEVELS.index(block.detail) <= LEVELS.index(detail)
+    figure = not isinstance(block, Statement | Table | Document)
+    return figure or LEVELS.index(block.detail) <= LEVELS.index(detail)
 
 
 def apart(*blocks: "Statement | Table | Document") -> tuple[Document, ...]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
@@ -58,9 +59,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
             if what == "save" and not _is_own(path):
                 raise InputError(f"--save {path} exists and was not written by --save; give another name or remove it")
         if what == "picture":
-            from models.document.picture import check_drawing
-
-            check_drawing()
+            FEATURES.load("pictures").check_drawing()
         elif what == "figures" and path.is_dir():
             for file in path.iterdir():  # the figures' names are known only when they are drawn
                 if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:

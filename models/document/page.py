@@ -17,7 +17,7 @@ from models.common.files import whole_file
 from models.document.document import Block, Document, State, Statement, Table, worst
 from models.document.figure import Bars, Figure, legend
 from models.document.picture import check_drawing, key_svg, panel_svg
-from models.document.reading import notation, page_text
+from models.document.reading import notation, page_text, short_form, whole_form
 from models.document.sketch import Sketch, sketch_svg, symbol_html
 
 STYLE = """<style>
@@ -146,6 +146,7 @@ def _environment(number: Callable[[str], str]) -> Any:
     options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined, "finalize": _said}
     environment = jinja2.Environment(autoescape=True, loader=loader, **options)
     functions = {"kind": _kind, "leading": _leading, "layout": _layout, "notation": notation, "legend": legend}
+    functions |= {"short_form": short_form, "whole_form": whole_form}
     environment.globals.update(functions, number=number, key_svg=key_svg, panel_svg=panel_svg)
     return environment
 

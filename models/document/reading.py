@@ -14,6 +14,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from models.common.files import whole_file
+from models.document.document import Pivot, Table
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
@@ -27,21 +28,6 @@ MANY = 10  # rows; a longer table is folded
 LONG_NAME = 16  # letters; a line may break within longer names
 # A name ends at spaces and punctuation other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
-
-
-@dataclass(frozen=True)
-class Pivot:
-    """A short form of a long table: one row for each of some columns' values, one column for each value of another.
-
-    Attributes:
-        rows: headings of the columns that name a row; a column `unit` follows the name before it, in brackets.
-        across: heading of the column whose values become columns.
-        values: headings of the numbers that are shown.
-    """
-
-    rows: tuple[str, ...]
-    across: str
-    values: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -103,6 +89,16 @@ def pivoted(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot
     several = len(pivot.values) > 1
     titles = [f"{one}, {value}" if several else one for one, value in columns]
     return [*names, *titles], [[*key, *(own.get(column, "-") for column in columns)] for key, own in cells.items()], len(names)
+
+
+def short_form(table: Table) -> Reading:
+    """Returns a table as a page shows it first."""
+    return read(table.headings, table.rows, table.words, table.pivot)
+
+
+def whole_form(table: Table) -> Reading | None:
+    """Returns the whole table as a page shows it below the short form, or None if that is all."""
+    return read(table.headings, table.rows, table.words) if table.pivot is not None else None
 
 
 def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, pivot: Pivot | None = None) -> Reading:

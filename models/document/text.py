@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fitted, table, wrapped
 from models.document.document import NOTE, Block, Detail, Document, Statement, Table, is_shown, notes
 
@@ -140,14 +141,13 @@ class Shown:
         return "\n".join(text_lines(self.shown))
 
     def _repr_html_(self) -> str | None:
-        from models.document.page import check_page, fragment
-
+        page = FEATURES.load("pages")
         try:
-            check_page()
+            page.check_page()
         except InputError:  # a notebook shows the text
             return None
         document = self.shown
-        return fragment(replace(document, blocks=(*document.blocks, *self.drawn)))
+        return page.fragment(replace(document, blocks=(*document.blocks, *self.drawn)))
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:

@@ -9,10 +9,8 @@ from itertools import combinations
 from typing import Any
 
 from models.common.errors import InputError, quoted
-from models.common.schema import keys
-from models.laws.design_methods import DESIGNS, OF_STATE
-from models.laws.goals import PATTERNS, Goals
-from models.laws.law_structure import FULL, STATIC, is_order
+from models.laws.design_methods import DESIGNS, FULL, GOALS, OF_STATE, PATTERNS, STATIC
+from models.laws.design_request import is_order
 from models.laws.linear import MATRICES
 
 KINDS = {  # of controllers: a section is one of them
@@ -114,7 +112,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     """Returns the parts of a section, each as written in the section. Values are not checked."""
     tolerance = section.get("tolerance")
     errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
-    goal_keys = [key for key in keys(Goals) if key in section and not (key == "tolerance" and errors and all(errors))]
+    goal_keys = [key for key in GOALS if key in section and not (key == "tolerance" and errors and all(errors))]
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
     parts |= {"law": "fmu"} if "fmu" in section else {}
     filtered = isinstance(structure := section.get("structure"), str) and structure in PATTERNS

@@ -1,23 +1,12 @@
 """The methods of design, by name: the function of each, in a file of its own."""
 
-METHODS = {
-    "two_steps": "synth.design.two_step:two_steps",
-    "state": "synth.design.two_step:state",
-    "zero_l": "synth.design.two_step:zero_l",
-    "descent": "synth.design.fallback:descent",
-    "refinement": "synth.design.fallback:refinement",
-    "structured": "synth.design.fixed_order.fixed_order:structured",
-    "riccati": "synth.design.full_order.full_order:riccati",
-    "goals": "synth.design.multi_objective.design:for_goals",
-    "sampled": "synth.design.sampled_data:sampled",
-    "mu": "synth.design.uncertainty.robust_design:mu",
-    "lqr": "synth.design.full_order.quadratic:quadratic",
-    "lqg": "synth.design.full_order.quadratic:quadratic",
-    "h2": "synth.design.full_order.quadratic:quadratic",
-    "preview": "synth.design.full_order.preview:preview",
-}
+from models.common.extensions import METHODS
+
 PREVIEW = "preview"  # of the state and of the road ahead
 OF_STATE = ("lqr", PREVIEW)  # of the full state, without sensors
+STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
+PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
+GOALS = ("minimise", "bounds", "tolerance", "family", "structure")  # keys of a section's goals
 # Methods that other keys of a section lead to; `design = "NAME"` names one of the others.
 BY_OTHER_KEYS = ("two_steps", "state", "zero_l", "descent", "refinement", "structured", "riccati", "goals", "sampled", "mu")
 DESIGNS = tuple(name for name in METHODS if name not in BY_OTHER_KEYS)

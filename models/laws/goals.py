@@ -16,12 +16,12 @@ from models.common.checks import is_finite
 from models.common.errors import InputError, alike, listing, quoted
 from models.common.schema import HERE, NUMBER, PAIR, SI, TEXT, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
 from models.common.units import in_unit
+from models.laws.design_methods import PATTERNS, PI, PID
 from models.laws.filter import Filter, FilterSection
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
 CORNER = "corner"
-PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all actuators' forces
 SMALLEST = 1e-9

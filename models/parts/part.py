@@ -6,7 +6,7 @@ where the suspension stretches; z are states of the part's own, and u its inputs
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
 and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder, a force
-element of `[parts]` in a file of `elements`, and a line in `models.parts.registry.PARTS`.
+element of `[parts]` in a file of `elements`, and a line in `EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -19,6 +19,7 @@ import numpy as np
 
 from models.characteristics import LEAVES, SIDES
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
@@ -206,12 +207,11 @@ class Part(ABC):
         """The force over its only argument, at `POINTS` up to `reach`; None if it depends on more, or has no reach."""
         if self.argument is None or not np.isfinite(self.reach):
             return None
-        from models.characteristics.curve import ForceCurve
 
         x, line = np.linspace(-self.reach, self.reach, POINTS), self.line
         force = self.pull(*((0 * x, x) if self.argument == "velocity" else (x, 0 * x)))
         slope = line.damping if self.argument == "velocity" else line.stiffness
-        return ForceCurve(x, force, float(slope), self.words)
+        return FEATURES.load("curves").ForceCurve(x, force, float(slope), self.words)
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
         """Returns travel [m] and velocity [m/s] between the part's own ends, shapes (...), from those at the wheel."""
@@ -319,9 +319,8 @@ class SuspensionPart:
     @property
     def surface(self) -> "ForceSurface | None":
         """The curve of a damper over velocity and deflection; None if it depends on one of them."""
-        from models.characteristics.surface import ForceSurface
 
-        return self.part.curve if isinstance(self.part.curve, ForceSurface) else None
+        return self.part.curve if isinstance(self.part.curve, FEATURES.load("surfaces").ForceSurface) else None
 
 
 def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":

@@ -3,31 +3,15 @@
 from functools import cache
 from typing import Any
 
-from models.common.lazy import named
+from models.common.extensions import PARTS
 from models.parts.part import Part, Parts, SuspensionPart
 from models.parts.ratio import AtRatio, Constant
-
-PARTS = {  # name -> module and class
-    "stop": "models.parts.stop:Stops",
-    "spring": "models.parts.spring:SpringCurve",
-    "damper": "models.parts.damper:DamperCurve",
-    "surface damper": "models.parts.surface_damper:SurfaceDamper",
-    "adjustable damper": "models.parts.adjustable:Adjustable",
-    "actuator": "models.parts.actuator:Actuator",
-    "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
-    "gas_spring": "models.parts.elements.gas_spring:GasSpring",
-    "maxwell": "models.parts.elements.maxwell:Maxwell",
-    "inerter": "models.parts.elements.inerter:Inerter",
-    "bouc_wen": "models.parts.elements.bouc_wen:BoucWen",
-    "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
-    "dahl": "models.parts.elements.dahl:Dahl",
-}
 
 
 @cache
 def part_class(name: str) -> Any:
     """Returns the class of a part."""
-    return named(PARTS[name])
+    return PARTS.load(name)
 
 
 def parts_of(vehicle: Any) -> Parts:

@@ -32,9 +32,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.schema import MOST_SEED, SI, Integer, Section, Text
 from models.common.units import setting
-from models.roads.iri import slope_density
 from models.roads.road import Road
 from models.roads.spectrum import N0, Spectrum, coherency
 from models.vehicle.names import CLASSES
@@ -67,7 +67,7 @@ def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHES
     Raises:
         InputError: no road has such an IRI.
     """
-    return slope_density(IRI.number("road iri", iri), lowest, highest, waviness) / (2 * np.pi * N0) ** 2
+    return FEATURES.load("IRI").slope_density(IRI.number("road iri", iri), lowest, highest, waviness) / (2 * np.pi * N0) ** 2
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_fields
 from models.common.errors import InputError
-from models.common.plausibility import Known, remarks
 from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
+from models.kinds.plausibility import Known, remarks
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
 

@@ -4,30 +4,32 @@ import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.checks import is_finite
 from models.common.errors import InputError, alike, error_in, listing, quoted
+from models.common.extensions import FEATURES
 from models.common.printed import size
-from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Flag, ReadBy, Text, keys, read
+from models.common.schema import HERE, AnyTable, BySignal, Choice, Flag, ReadBy, keys, read
 from models.kinds.kind import LARGEST, SMALLEST, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD
-from models.laws.combinations import PATTERNS, check_together, goes, section_parts
-from models.laws.design_methods import DESIGNS, OF_STATE, PREVIEW
-from models.laws.filter import Filter
-from models.laws.goals import Goals
+from models.laws.combinations import check_together, goes, section_parts
+from models.laws.design_methods import FULL, OF_STATE, PREVIEW
+from models.laws.design_request import Demands, DesignRequest, LawStructure
 from models.laws.law import Design, T, no_design
-from models.laws.law_structure import FULL, Demands, DesignRequest, StructureSection
-from models.laws.linear import MATRICES, LinearLaw, static_law
-from models.laws.python_law import Programmed, ProgramSection, PythonLaw
-from models.laws.semi_active import SemiActive, SemiActiveLaw, SemiActiveSection
-from models.vehicle.limits_and_implementation import LONGEST_PERIOD, NO_PERIOD, Implementation, Limits
+from models.laws.linear import LinearLaw, static_law
+from models.vehicle.limits_and_implementation import NO_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
 from models.vehicle.sections import PUSHING
-from models.vehicle.weighted_errors import WeightedErrors
+
+if TYPE_CHECKING:
+    from models.laws.goals import Goals
+    from models.laws.python_law import Programmed, PythonLaw
+    from models.laws.semi_active import SemiActive, SemiActiveLaw
+    from models.laws.weighted_errors import WeightedErrors
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
@@ -59,9 +61,6 @@ class DesignConditions:
 NOMINAL = DesignConditions()
 
 
-Source = LinearLaw | DesignRequest | PythonLaw | SemiActiveLaw
-
-
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
     """Controller of a vehicle file, made from `ControllerSection`.
@@ -82,11 +81,11 @@ class ControllerEntry:
 
     name: str
     measured: tuple[str, ...]
-    source: Source = field(default_factory=DesignRequest)
+    source: "LinearLaw | DesignRequest | PythonLaw | SemiActiveLaw" = field(default_factory=DesignRequest)
     certificate: Mapping[str, Any] | None = None
     hardware: DesignConditions = NOMINAL
-    goals: Goals | None = None
-    errors: WeightedErrors | None = None
+    goals: "Goals | None" = None
+    errors: "WeightedErrors | None" = None
     study: bool = False
     forced: bool = False
 
@@ -119,7 +118,7 @@ class ControllerEntry:
         parts = section_parts(given | {"study": self.study}, ())
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
-    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
+    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | Programmed | SemiActive":
         """Returns the controller; arguments and errors are those of `LawSource.driver`."""
         return self.source.driver(self.name, self.measured, design, read)
 
@@ -149,7 +148,7 @@ def _measured(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[float, ...], ...]:
+def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[float, ...], ...]:
     """Returns rows of numbers; `give` ends the message for another value."""
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
@@ -157,17 +156,12 @@ def _rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[float, 
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
-def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a matrix of a law."""
-    return _rows(value, "give a list of rows")
-
-
 def _gain(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
     """Returns the rows of a gain, one for each force, with a number for each measured signal."""
     m, q = len(context["corners"]), len(context.get("measured", ()))
     give = f"give {m} row(s), one for each actuator, of {q} number(s), one for each measured signal, of at most {LARGEST:g} in "
     give += f"magnitude, as in gain = {[[1.0] * q] * m}"
-    rows = _rows(value, give, LARGEST)
+    rows = matrix_rows(value, give, LARGEST)
     if len(rows) != m or any(len(row) != q for row in rows):
         raise InputError(f"{HERE} has {size(rows)}; {give}")
     return rows
@@ -186,18 +180,13 @@ class SignalSection(Demands):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, SignalSection):
-    """`[controllers.NAME]` of a vehicle file."""
+class GivenSection(SignalSection):
+    """Keys of `[controllers.NAME]` of a static gain, given or designed in two steps. `ControllerSection` has all others, too."""
+
+    order = design = preview = goals = errors = None  # keys and properties of other laws
 
     gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
-    A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix, allowed=ROWS)] = None
-    B: Annotated[Any, ReadBy("input matrix of the law", _matrix, allowed=ROWS)] = None
-    C: Annotated[Any, ReadBy("output matrix of the law", _matrix, allowed=ROWS)] = None
-    D: Annotated[Any, ReadBy("feedthrough of the law", _matrix, allowed=ROWS)] = None
-    sample_period: Annotated[float, SI("s", "sample period of a discrete law", high=LONGEST_PERIOD)] | None = None
-    file: Annotated[str, Text("MATLAB file with the law, next to the vehicle file")] | None = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
-    design: Annotated[str, Choice("method of design instead of the two-step design", DESIGNS)] | None = None
     noise: Annotated[bool, Flag("design for the noise of `[implementation]`", " (other sections define the amount)")] = False
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
     sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
@@ -205,35 +194,39 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Sig
     actuators: Annotated[str, Choice("force actuators instead of semi-active dampers", (PUSHING,), OTHERWISE)] | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.file is not None:
-            raise InputError("file needs a vehicle file next to it, but this vehicle is read from text; give the matrices")
-        matrices = [key for key in (*MATRICES, "sample_period") if getattr(self, key) is not None]
-        if matrices and self.pid is not None:
-            raise InputError(f"has both pid and {matrices[0]}, but a controller has only one law; omit one of them")
-        if matrices and (missing := [key for key in MATRICES if key not in matrices]):
-            raise InputError(
-                f"{listing(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
-            )
         if self.certificate is not None and not self.given:
             raise InputError("certificate needs a section with a gain or a law; remove it here")
-        if self.preview is not None and self.law is None and self.design != PREVIEW:
-            raise InputError(
-                f'preview needs a law in Python or design = "{PREVIEW}", which receive the road ahead; omit preview, or give a '
-                'law, as in law = "my_law.py:step"'
-            )
-        if self.preview is None and self.design == PREVIEW:
-            raise InputError(
-                f'design = "{PREVIEW}" needs the time for which it knows the road ahead; give it in seconds, as in '
-                "preview = 0.5. This is the range of the road sensor divided by the speed"
-            )
         if self.loads is not None and not self.loads:
             raise InputError("loads = {} is empty; give { load = value that equals 1 m/s of road }, or omit loads")
 
     @property
     def given(self) -> bool:
         """True if the section has the numbers of a linear law."""
-        return self.gain is not None or self.A is not None or (self.pid is not None and self.structure not in PATTERNS)
+        return self.gain is not None
+
+    def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
+        """Returns the law of the section in numbers, or None if the section has no numbers; arguments as of `law_structure`."""
+        return None if self.gain is None else static_law(np.array(self.gain))
+
+    def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
+        """Returns the structure of a law that is designed; see `StructureSection`."""
+        return None
+
+    def program(self, folder: Path | None) -> "PythonLaw | None":
+        """Returns the law in Python or the FMU; see `ProgramSection`."""
+        return None
+
+    def semi_active_law(
+        self, given: Sequence[str], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
+    ) -> "SemiActiveLaw | None":
+        """Returns the semi-active law; see `SemiActiveSection`."""
+        return None
+
+
+def _section_class(given: Any) -> type[GivenSection]:
+    """Returns the class that reads a section: the one of all keys if it has one of them."""
+    few = not isinstance(given, Mapping) or {*given} <= {*keys(GivenSection)}
+    return GivenSection if few else FEATURES.load("all keys of controllers").ControllerSection
 
 
 def read_controllers(
@@ -269,11 +262,11 @@ def read_controllers(
         if name in controllers:
             raise InputError(f"{where} appears twice, in two spellings that look the same; rename one of the two")
         check_name(where, name, RESERVED)
-        if not isinstance(given, Mapping) and written in keys(ControllerSection):
+        if not isinstance(given, Mapping) and written in keys(FEATURES.load("all keys of controllers").ControllerSection):
             raise InputError(f"[controllers] {written} is a key of a single controller; write it in a section [controllers.NAME]")
         parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
         check_together(where, parts)
-        asked = read(where, ControllerSection, given, **facts)
+        asked = read(where, _section_class(given), given, **facts)
         with_samples = sampled and goes("sampled", parts) if asked.sampled is None else asked.sampled
         with error_in(where):
             if with_samples and implementation.sample_period is None:
@@ -284,15 +277,13 @@ def read_controllers(
             goals = asked.goals if "goals" in parts else None
         if goals is not None and entry.request.structure is not None:
             goals = replace(goals, structure=None)
-        weights = {name: one for name, one in asked.tolerance.items() if isinstance(one, Filter)}
-        errors = WeightedErrors(weights) if weights else None
-        controllers[name] = replace(entry, goals=goals, errors=errors)
+        controllers[name] = replace(entry, goals=goals, errors=asked.errors)
     return controllers
 
 
 def _entry(
     name: str,
-    asked: ControllerSection,
+    asked: GivenSection,
     given: Mapping[str, Any],
     model: LinearModel,
     limits: Limits,
@@ -332,7 +323,7 @@ def _entry(
         sampled=sampled,
         **{key: getattr(asked, key) for key in keys(Demands)},
     )
-    law = _law(asked, measured, corners)
+    law = asked.linear_law(measured, corners)
     if asked.anti_windup is not None and law is not None:
         if not law.states:
             raise InputError("has anti_windup, but its law has no states that can wind up; omit anti_windup")
@@ -354,7 +345,7 @@ def _entry(
 
 
 def _hardware(
-    asked: ControllerSection,
+    asked: GivenSection,
     measured: Sequence[str],
     request: DesignRequest,
     inputs: Sequence[str],
@@ -379,24 +370,3 @@ def _hardware(
     if asked.lag and limits.actuator_bandwidth is None:
         raise InputError("has lag = true, but [limits] has no actuator_bandwidth; give actuator_bandwidth [rad/s], or omit lag")
     return DesignConditions(noise, limits.actuator_bandwidth if asked.lag else None, tuple((asked.loads or {}).items()))
-
-
-def _law(asked: ControllerSection, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-    """Returns the law of a section in numbers, or None if the section has no numbers."""
-    if asked.gain is not None:
-        return static_law(np.array(asked.gain))
-    if asked.A is None:
-        return asked.pid_law(measured, corners)
-    k, m, q = len(asked.A) if any(asked.A) else 0, len(corners), len(measured)
-    shapes = {"A": (k, k), "B": (k, q), "C": (m, k), "D": (m, q)}
-    for key, (rows, columns) in shapes.items():
-        there = getattr(asked, key)
-        if not any(there) and not rows * columns:
-            continue  # of a law without states, however it is written down
-        if len(there) != rows or any(len(row) != columns for row in there):
-            raise InputError(
-                f"{key} has {size(there)}; give {rows} row(s) of {columns} number(s), because A has {k} row(s), this vehicle has "
-                f"{m} actuator(s), and the controller measures {q} signal(s)"
-            )
-    matrices = (np.array(getattr(asked, key), dtype=float).reshape(shape) for key, shape in shapes.items())
-    return LinearLaw(*matrices, sample_period=asked.sample_period)

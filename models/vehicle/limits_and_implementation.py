@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
-from models.characteristics.stops import BumpAndRebound, StopPair, StopSection, read_places, stop_words, stops_at
+from models.characteristics.stop_section import StopPair, StopSection
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, quoted
+from models.common.extensions import FEATURES
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
 
 if TYPE_CHECKING:
+    from models.characteristics.stops import BumpAndRebound
     from models.kinds.kind import Suspension
 
 ORDERS = ("force", "command")  # of `Limits.limit`
@@ -70,11 +72,11 @@ class Limits(LimitsSection):
         """True if any key of bump stops is given."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
-    def stops_at(self, corner: str) -> BumpAndRebound | None:
+    def stops_at(self, corner: str) -> "BumpAndRebound | None":
         """Returns the bump stops of a corner, or None if it has no stops."""
-        return stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
+        return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
-    def stops(self, suspensions: "Sequence[Suspension]") -> dict[str, BumpAndRebound]:
+    def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
         """Returns the stops in bump and rebound of a vehicle's suspensions, by deflection, without those that have no stops."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
@@ -133,7 +135,7 @@ class Limits(LimitsSection):
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []
         if self.stopped:
-            phrases += stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
+            phrases += FEATURES.load("stops").stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
             phrases.append(f"{'commands' if self.limits_commands else 'forces'} up to ±{self.actuator_force:g} N")
         if self.force_rate is not None:
@@ -287,7 +289,7 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
         return limits
     if not corners:
         raise InputError(f"[limits] {next(iter(section))}: this vehicle type has no suspension to stop; omit the key")
-    return replace(limits, places=tuple(read_places(common, own, corners).items()))
+    return replace(limits, places=tuple(FEATURES.load("stops").read_places(common, own, corners).items()))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, quoted
+from models.common.extensions import FEATURES
 from models.common.files import read_text
 from models.kinds.kind import GRAVITY, HERE, LOWEST_HUB
 from models.kinds.strut_and_tyre import actuator_of
@@ -146,8 +147,7 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions if part.velocity.name in new]
     if not (pairs or parts):
         return
-    from models.parts.native import Tendon, sense_velocities
-
+    native = FEATURES.load("parts native to MuJoCo")
     with error_in(f"MJCF {vehicle.kind.mjcf}:"):
         tendons = {tendon.name: tendon for tendon in spec.tendons}
         for one in parts:
@@ -156,17 +156,17 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                     f"it has no tendon {one.tendon!r}, but this suspension has {one.part.words}; add the tendon, or omit these"
                 )
             _check_line(tendons[one.tendon], one)
-        sense_velocities(spec, pairs)
+        native.sense_velocities(spec, pairs)
         if not parts:
             return
         at_rest = _compiled(vehicle, spec.copy())
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
-        places = [(one, Tendon(spec, one.tendon, rest[one.tendon], FITTED)) for one in parts]
+        places = [(one, native.Tendon(spec, one.tendon, rest[one.tendon], FITTED)) for one in parts]
         for one, tendon in places:
             if one.native:
                 one.part.write(tendon)
         for name in dict.fromkeys(one.tendon for one in parts if not one.native):
-            Tendon(spec, name, rest[name], FITTED).add_motor()
+            native.Tendon(spec, name, rest[name], FITTED).add_motor()
         for one, tendon in places:
             one.part.write_input(tendon, not one.native)
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from models.characteristics import SIDES
 from models.characteristics.curve import ForceCurve
-from models.characteristics.stops import Stop, StopPair, StopSection
+from models.characteristics.stop_section import StopPair, StopSection
+from models.characteristics.stops import Stop
 from models.characteristics.surface import ForceSurface
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, Section, read

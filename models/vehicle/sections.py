@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from models.characteristics import SIDES
 from models.common.checks import is_finite
 from models.common.errors import InputError, error_in, listing, quoted
-from models.common.plausibility import Known
+from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
+from models.kinds.plausibility import Known
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
@@ -146,9 +147,8 @@ def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """
     if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
-    from models.vehicle.in_place import with_contents
 
-    return with_contents(text, folder)
+    return FEATURES.load("files named in vehicle files").with_contents(text, folder)
 
 
 def curves_and_parameters(
@@ -157,15 +157,14 @@ def curves_and_parameters(
     """Reads `[curves]`, and `[parameters]` with the curves' values at rest. Returns the kind with motion ratios over travel."""
     curves = dict[str, "ForceCurve"]()
     if section:
-        from models.characteristics.curve_reading import read_curves
-        from models.parts.lines import curvable
-
-        over, ratios = curvable(kind.suspensions), _ratios(section, kind)
+        over, ratios = FEATURES.load("lines of parts").curvable(kind.suspensions), _ratios(section, kind)
         at_rest = {name: table.at_rest for name, table in ratios.items()}
         entries = {name: entry for name, entry in section.items() if name not in ratios}
         anything = {name: 1.0 for name in entries if name in over} | at_rest  # the loads do not depend on it
         with_any, own = {**parameters, **anything}, kind
-        curves = read_curves(entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name))
+        curves = FEATURES.load("curves in files").read_curves(
+            entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name)
+        )
         kind = replace(kind, ratios=ratios) if ratios else kind
         slopes = {name: curve.slope for name, curve in curves.items()} | at_rest
         if twice := [name for name in slopes if name in parameters]:
@@ -181,8 +180,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> "dict[str, RatioTa
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}
-    from models.characteristics.ratio_table import ratio_table
-
+    ratio_table = FEATURES.load("motion ratios over travel").ratio_table
     if kind.static_loads is nothing:
         raise InputError(f"[curves] {min(names)}: a curve needs static_loads, which this vehicle type does not have; add them")
     for part in kind.suspensions:
@@ -210,7 +208,7 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 
 
 def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
-    """Yields the quantities of a vehicle by place, with the names that `models.common.plausibility.RULES` has for them.
+    """Yields the quantities of a vehicle by place, with the names that `models.kinds.plausibility.RULES` has for them.
 
     For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
     dampers do not count: `suspension_doubts` remarks on them.
@@ -301,8 +299,7 @@ def suspension_doubts(vehicle: Any) -> list[str]:
     kind, parameters, curves, dampers = vehicle.kind, vehicle.parameters, vehicle.curves, vehicle.dampers
     if not (curves or dampers or vehicle.limits.stopped):
         return []
-    from models.parts.plausibility import damper_doubts, length_doubts, stop_doubts
-
+    plausibility = FEATURES.load("doubts about parts")
     loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), vehicle.limits.stops(kind.suspensions)
     doubts = dict[str, None]()
     for part in kind.suspensions:
@@ -312,11 +309,15 @@ def suspension_doubts(vehicle: Any) -> list[str]:
         pairs = {"[actuators]": (pair.soft, pair.hard)} if pair is not None else {}
         pairs |= {part.damping: (one, one)} if (one := curves.get(part.damping)) is not None else {}
         for name, both in pairs.items():
-            doubts |= dict.fromkeys(f"{name}: {said}" for said in damper_doubts(*both, critical))
+            doubts |= dict.fromkeys(f"{name}: {said}" for said in plausibility.damper_doubts(*both, critical))
         if (spring := curves.get(part.stiffness)) is not None:
-            doubts |= dict.fromkeys(f"{part.stiffness}: {said}" for said in length_doubts(max(-spring.x[0], spring.x[-1])))
+            doubts |= dict.fromkeys(
+                f"{part.stiffness}: {said}" for said in plausibility.length_doubts(max(-spring.x[0], spring.x[-1]))
+            )
         for side, stop in zip(SIDES, stops.get(part.deflection, ()), strict=False):
-            doubts |= dict.fromkeys(f"[limits] {side} stop: {said}" for said in stop_doubts(stop, load and load / ratio))
+            doubts |= dict.fromkeys(
+                f"[limits] {side} stop: {said}" for said in plausibility.stop_doubts(stop, load and load / ratio)
+            )
     return list(doubts)
 
 
@@ -344,8 +345,7 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
     """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
     if not curves:
         return []
-    from models.characteristics.measured_loop import slope_words
-
+    slope_words = FEATURES.load("measured loops").slope_words
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
     for name, curve in curves.items():

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.parts.part import Part, Stack, alike
 from models.vehicle.vehicle import Vehicle
 
@@ -112,8 +113,7 @@ def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> li
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:
         return forces
-    from models.parts.ratio import together
-
+    together = FEATURES.load("parts at motion ratios").together
     starts = np.cumsum([0, *(len(one.part.states) for one in vehicle.parts)]).tolist()
     first = {id(one): start for one, start in zip(vehicle.parts, starts, strict=False)}
     for i, place in enumerate(vehicle.kind.suspensions):

@@ -13,18 +13,16 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, listing, quoted
+from models.common.extensions import FEATURES
 from models.common.files import STDOUT, parse_toml, path_from, read_text
-from models.common.plausibility import remarks
 from models.common.schema import AnyTable, BySignal, Section, Text, keys, placed, read
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
+from models.kinds.plausibility import remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.parts.part import Parts
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
@@ -52,7 +50,10 @@ from models.vehicle.sections import (
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
     from models.characteristics.curve import ForceCurve
+    from models.document.figure import Figure
     from models.laws.filter import Filter
+    from models.laws.python_law import Programmed
+    from models.laws.semi_active import SemiActive
     from models.parts.element import Element
 
 
@@ -78,9 +79,8 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     if folder is None or name not in own:
         beside = f", or next to the vehicle file: {name}.py and {name}.xml" if folder else ""
         raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
-    from models.kinds.user_kind import read_kind
 
-    return read_kind(folder, name)
+    return FEATURES.load("vehicle types in Python").read_kind(folder, name)
 
 
 Entries = Mapping[str, Any]
@@ -181,9 +181,11 @@ class Vehicle(Shown):
             object.__setattr__(self, name, ReadOnly(getattr(self, name)))
         self.kind.check_each(self.parameters)
         if self.elements or self.kind.of_parts:
-            from models.parts.element import states_of
-
-            object.__setattr__(self, "kind", self.kind.with_states(states_of(self.elements, self.kind.suspensions)))
+            object.__setattr__(
+                self,
+                "kind",
+                self.kind.with_states(FEATURES.load("parts in files").states_of(self.elements, self.kind.suspensions)),
+            )
         names = {*self.performance}.union(*(one.terms for one in self.sums))
         object.__setattr__(self, "kind", self.kind.naming(names).carrying(self.parameters))
         for name, weight in self.performance.items():
@@ -258,9 +260,8 @@ class Vehicle(Shown):
         """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return Parts()
-        from models.parts.registry import parts_of
 
-        return parts_of(self)
+        return FEATURES.load("parts").parts_of(self)
 
     @property
     def inertial(self) -> bool:
@@ -290,11 +291,12 @@ class Vehicle(Shown):
         slopes = ("stiffness", "damping", "inertance")
         stiffness, damping, inertance = (np.array([getattr(line, name) for line in lines]) for name in slopes)
         from models.kinds.at_wheels import force_effects
-        from models.parts.lines import with_own_states
 
         rows, (push, shown) = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
         speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
-        model = with_own_states(model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown)
+        model = FEATURES.load("lines of parts").with_own_states(
+            model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown
+        )
         return model.with_inertance(np.pad(speeds, own[::-1]), np.pad(push, own), np.pad(shown, own), inertance)
 
     def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
@@ -348,14 +350,15 @@ class Vehicle(Shown):
         )
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain from the road's velocity to the weighted signals, without control."""
-        from models.document.notebook import gain_figure
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
         title = "Largest singular value without control, from the road's velocity to the weighted signals."
-        return (gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),)
+        return (
+            FEATURES.load("figures in notebooks").gain_figure(title, model.A, model.Bw, weights * model.C, weights * model.Dw),
+        )
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
@@ -502,8 +505,7 @@ class Vehicle(Shown):
     @property
     def unladen(self) -> "Vehicle":
         """The vehicle of its file without `[payload]`; itself if its file has no payload."""
-        from models.common.toml_edit import toml_value
-
+        toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
             return self
@@ -516,12 +518,11 @@ class Vehicle(Shown):
         Raises:
             InputError: the file could not be read there, as a law or the kind is in another folder.
         """
-        from models.vehicle.in_place import text_in
 
         laws = {name: entry.source for name, entry in self.controllers.items()}
         folder = Path(self.source).parent if path == STDOUT else path.parent
         try:
-            text = text_in(folder, self.text, laws)
+            text = FEATURES.load("files named in vehicle files").text_in(folder, self.text, laws)
             parse_vehicle(text, folder=folder)
         except InputError as error:
             raise InputError(
@@ -571,7 +572,7 @@ class Vehicle(Shown):
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
-    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> T | Programmed | SemiActive:
+    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | Programmed | SemiActive":
         """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
@@ -583,13 +584,9 @@ class Vehicle(Shown):
         """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
         check_period(entry.name, entry.source.sample_period, self.implementation)
         if (self.filters or self.sums) and self.integrals:
-            from models.vehicle.integrals import check_integrals
-
-            check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
+            FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            from models.parts.registry import part_class
-
-            part_class("adjustable damper").check_measured(entry.name, entry.measured, self)
+            FEATURES.load("parts").part_class("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
@@ -658,22 +655,19 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     vehicle_kind = kind(in_plane(given.type, given.plane) if given.plane else given.type, folder)
     numbers = given.parameters
     if given.seat is not None:
-        from models.kinds.seated_kind import read_seat
-
-        vehicle_kind, numbers = read_seat(given.seat, vehicle_kind, numbers)
+        vehicle_kind, numbers = FEATURES.load("seats").read_seat(given.seat, vehicle_kind, numbers)
     curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
-        from models.vehicle.payload import apply_payload
-
-        parameters, limits, vehicle_kind = apply_payload(given.payload, vehicle_kind, parameters, limits, curves)
+        parameters, limits, vehicle_kind = FEATURES.load("payload").apply_payload(
+            given.payload, vehicle_kind, parameters, limits, curves
+        )
     model = vehicle_kind.full_model(parameters)
     elements = ()
     if given.parts:
-        from models.parts.element import read_elements, states_of
-
-        elements = read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
-        if states := states_of(elements, vehicle_kind.suspensions):
+        element = FEATURES.load("parts in files")
+        elements = element.read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
+        if states := element.states_of(elements, vehicle_kind.suspensions):
             vehicle_kind = vehicle_kind.with_states(states)
             model = model.with_states(names_of(states), np.zeros((len(states), len(model.A))))
     implementation, sampled, corners = Implementation(), False, vehicle_kind.corners
@@ -683,15 +677,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         implementation, sampled = section.implementation, section.sampled
     dampers = dict[str, "Damper"]()
     if given.actuators or elements:
-        from models.characteristics.adjustable_range import read_actuators
-
         forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
         limited = () if forced else limits.of_actuators
-        dampers = read_actuators(given.actuators, corners, limited)
+        dampers = FEATURES.load("adjustable dampers").read_actuators(given.actuators, corners, limited)
         if any(one.part.settable is not None for one in elements):
-            from models.parts.settable import element_dampers
-
-            dampers |= element_dampers(elements, vehicle_kind.suspensions, given.actuators, limited)
+            dampers |= FEATURES.load("settable parts").element_dampers(
+                elements, vehicle_kind.suspensions, given.actuators, limited
+            )
     endings = {force: ending for force, ending in corners.items() if force in dampers}
     controllers = read_controllers(given.controllers, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     weights = read_performance(given.performance, model.outputs)

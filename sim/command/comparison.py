@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import Whole, pasted_path, show
 from models.document.document import Document, notes, statements
 from models.document.text import text_lines
@@ -61,10 +62,10 @@ def controllers_of(
         complain(f"controller {name!r} is not simulated: {str(error).removeprefix(f'controller {name!r}: ')}")
     if exported is None:
         return drivers
-    from synth.controller.export.folder import as_exported, read_folder
+    export = FEATURES.load("exported code")
     from synth.vehicle.designer import driver_of
 
-    return as_exported(read_folder(exported, driver_of), vehicle, drivers)
+    return export.as_exported(export.read_folder(exported, driver_of), vehicle, drivers)
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
@@ -147,7 +148,6 @@ def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "M
                 option = f"--{name}".replace("_", "-")
                 raise InputError(f"{option} describes a measured log; give its file with --beside, or omit the option")
         return None
-    from models.common.logs.measured_log import read_measured_log
 
     columns = dict[str, str]()
     for text in options.beside_column:
@@ -156,7 +156,7 @@ def measured_log(options: argparse.Namespace, vehicles: Iterable[Vehicle]) -> "M
             raise InputError(f"--beside-column {text}: give each signal once, with its heading, as in SIGNAL=HEADING")
         columns[name] = heading
     units = {signal.name: signal.unit for vehicle in vehicles for signal in vehicle.kind.signals}
-    return read_measured_log(options.beside, units, options.beside_rate, columns)
+    return FEATURES.load("measured logs").read_measured_log(options.beside, units, options.beside_rate, columns)
 
 
 def write_histories(
@@ -169,17 +169,12 @@ def write_histories(
     """
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
-        from models.document.picture import write_picture
-        from sim.runs.time_histories import history_figure
-
-        figure = history_figure(runs, where, measured)
+        figure = FEATURES.load("time histories").history_figure(runs, where, measured)
         outputs["picture"] = options.picture if figure is not None else None
         if figure is not None:
-            write_picture(figure, options.picture)
+            FEATURES.load("pictures").write_picture(figure, options.picture)
     if options.csv is not None:
-        from sim.runs.signal_table import write_runs
-
-        write_runs(options.csv, runs)
+        FEATURES.load("signals as CSV").write_runs(options.csv, runs)
         outputs["csv"] = options.csv
     return outputs
 
@@ -213,9 +208,7 @@ def check_view(options: argparse.Namespace) -> None:
             f"{'--open' if options.open else '--serve'} shows the recording, but --no-logs writes none; omit one of the two"
         )
     if options.open:
-        from sim.command.viewer import check_display
-
-        check_display()
+        FEATURES.load("viewers").check_display()
 
 
 def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
@@ -227,10 +220,9 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     recording = logs["rerun"]
     if recording is None or not (options.open or options.serve):
         return
-    from sim.command.viewer import open_viewer, serve_viewer
-
+    viewer = FEATURES.load("viewers")
     sys.stdout.flush()
-    (open_viewer if options.open else serve_viewer)(Path(recording))
+    (viewer.open_viewer if options.open else viewer.serve_viewer)(Path(recording))
 
 
 def run_named(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import chosen_of, complain, print_json, remarked
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import say, titled
 from models.document.document import Document, Statement
 from models.document.outputs import check_outputs, written, written_lines
@@ -110,9 +111,7 @@ def drive(
     roads = {title: remarked(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
     time, road = next(iter(times.values())), next(iter(roads.values()))
     if rides:
-        from sim.studies.ride.step_response import check_band
-
-        check_band(road, options.band, "band" in options.given)
+        FEATURES.load("step response").check_band(road, options.band, "band" in options.given)
         for remark in gaps(road, options.duration):
             complain(remark)
     comparison.check_view(options)
@@ -127,15 +126,17 @@ def drive(
     shown = [run for each in driven for run in each.shown]
     measured, beside = None, {}
     if log is not None:
-        from sim.studies.validity.measured_log import compare_log
-
-        measured = remarked(compare_log(log, runs, options.beside_start, options.beside_remove_offset))
+        measured = remarked(
+            FEATURES.load("comparison with a measured log").compare_log(
+                log, runs, options.beside_start, options.beside_remove_offset
+            )
+        )
         fits, beside = iter(measured.fits), {"beside": measured.record}
         driven = [replace(each, fits=[next(fits) for _ in each.runs]) for each in driven]
     samples, start, words, step, response = (0, None), 0.0, "over the whole run", {}, Document("")
     if rides:
-        from sim.studies.ride import run_metrics, step_response
-
+        run_metrics = FEATURES.load("ride of a run")
+        step_response = FEATURES.load("step response")
         pairs = [(run.vehicle, run.controller) for run in runs]
         samples = run_metrics.measured_samples(pairs, road, options.duration, options.timestep, options.settle)
         start, words = float(time[samples[0]]), run_metrics.measured_words(time, samples)
@@ -253,16 +254,16 @@ def _result(options: Namespace, each: Driven, measured: tuple[float, float | Non
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
     if each.metrics:
         from sim.studies.ride.metrics import DEFINITIONS
-        from sim.studies.ride.run_metrics import driven_roughness, metrics_object, points_end, roughness_object
 
+        ride = FEATURES.load("ride of a run")
         rows, (start, end) = zip(each.objects, each.runs, each.metrics, strict=True), measured
         result |= {
-            "runs": [one | metrics_object(run, of_run) for one, run, of_run in rows],
+            "runs": [one | ride.metrics_object(run, of_run) for one, run, of_run in rows],
             "measured_from": start,
-            "road_ends": points_end(road, float(time[-1])),
+            "road_ends": ride.points_end(road, float(time[-1])),
             **({} if end is None else {"measured_until": end}),
             "definitions": DEFINITIONS,
-            "iri": roughness_object(driven_roughness(each.vehicle, road, time)),
+            "iri": ride.roughness_object(ride.driven_roughness(each.vehicle, road, time)),
         }
     return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
 
@@ -276,8 +277,7 @@ def _above(options: Namespace, driven: Sequence[Driven], start: float, end: floa
     shown, metrics = [run for each in driven for run in each.shown], [one for each in driven for one in each.metrics]
     lines = list[str]()
     if metrics:
-        from sim.runs.start import start_lines
-
+        start_lines = FEATURES.load("start of a run").start_lines
         for each in driven:
             lines += start_lines(each.shown[: len(each.built)], starts_later(options))
     if options.verbose:
@@ -285,16 +285,14 @@ def _above(options: Namespace, driven: Sequence[Driven], start: float, end: floa
             for run, own in zip_longest(each.shown, each.metrics):
                 lines += comparison.run_lines([run], each.passive)
                 if own is not None:
-                    from sim.studies.ride.run_metrics import describe, driven_roughness
-
-                    rough = driven_roughness(run.vehicle, run.road, run.prediction.time)
-                    lines += ["", *text_lines(describe(run, own, start, end, rough), "full")]
+                    ride = FEATURES.load("ride of a run")
+                    rough = ride.driven_roughness(run.vehicle, run.road, run.prediction.time)
+                    lines += ["", *text_lines(ride.describe(run, own, start, end, rough), "full")]
     elif not options.brief:
         lines += comparison.run_lines(shown)
         if metrics:
-            from sim.studies.ride.run_metrics import broken, summary
-
-            left = [(run.controller.name, Statement(line)) for run in shown for line in broken(run)]
+            ride = FEATURES.load("ride of a run")
+            left = [(run.controller.name, Statement(line)) for run in shown for line in ride.broken(run)]
             lines += text_lines(Document("", shared(left)))
-            lines += ["", *told] if (told := text_lines(summary(shown, metrics))) else []
+            lines += ["", *told] if (told := text_lines(ride.summary(shown, metrics))) else []
     return lines

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
+from models.common.extensions import FEATURES
 from models.common.printed import percent, rough, wrapped
 from models.vehicle.names import CLASSES, FILE, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
@@ -177,15 +178,12 @@ def add_road(parser: Parser, default: str) -> None:
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
     """Returns the requested road, if it can be driven."""
-    from models.roads.choice import choose_road
-    from models.roads.load_choice import choose_load
-    from models.roads.rig import Rig
 
-    choice = choose_road(road_text(options))
-    choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
+    choice = FEATURES.load("roads by name").choose_road(road_text(options))
+    choice = replace(choice, loads=(*choice.loads, *map(FEATURES.load("loads by name").choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed selects a random road, but {choice.text!r} is not random; omit --seed")
-    if "speed" in options.given and isinstance(choice.road, Rig):
+    if "speed" in options.given and isinstance(choice.road, FEATURES.load("rigs").Rig):
         raise InputError("--speed does not apply to a test rig, on which the vehicle does not move; omit --speed")
     road = choice.build(vehicle, options.speed, options.seed, options.speed * options.duration)
     with error_in(f"road {choice.text!r}:"):
@@ -195,12 +193,15 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 def gaps(road: "Road", duration: float) -> list[str]:
     """Returns a remark on the points of a road from a file that are driven in a time [s]: a wide gap, or heights of no road."""
-    from models.roads.profile import Profile
     from models.roads.road import Departure
 
     felt = road.from_start
     profile = felt.road if isinstance(felt, Departure) else None
-    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.remark(road.speed * duration)) else []
+    return (
+        [f"remark: {remark}"]
+        if isinstance(profile, FEATURES.load("measured roads").Profile) and (remark := profile.remark(road.speed * duration))
+        else []
+    )
 
 
 def starts_later(options: argparse.Namespace) -> bool:
@@ -211,10 +212,9 @@ def starts_later(options: argparse.Namespace) -> bool:
 
 def end_lines(road: "Road", duration: float) -> list[str]:
     """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
-    from sim.studies.ride.run_metrics import NEARLY
 
     ends = road.duration
-    if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
+    if road.points is None or math.isclose(ends, duration, rel_tol=FEATURES.load("ride of a run").NEARLY):
         return []
     if ends > duration:
         return wrapped(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")

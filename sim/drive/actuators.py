@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 
@@ -24,8 +25,7 @@ def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
     """
     if not vehicle.dampers:
         return ()
-    from models.parts.damper_range import range_of
-
+    range_of = FEATURES.load("damper ranges").range_of
     closing = tuple(f"closing velocity of {force}" for force in vehicle.linear_model.inputs)
     more = (f"{name} of {closing[one.column]}" for one in range_of([vehicle]).elements for name in ("travel", *one.own))
     return (*closing, *more)
@@ -56,9 +56,8 @@ class Actuators:
         self.closing, self.at_rest = np.zeros((0, readout.of_state.shape[1])), np.zeros(0)
         if not first.dampers:
             return
-        from models.parts.damper_range import range_of
 
-        self.size, self._of = 2 * self.forces, range_of(vehicles)
+        self.size, self._of = 2 * self.forces, FEATURES.load("damper ranges").range_of(vehicles)
         adjustable, turning = self._of.adjustable, self._ratios.over_travel
         more = len(closing_names(first)) - self.forces
         self.closing = np.zeros((self.forces + more, readout.of_state.shape[1]))

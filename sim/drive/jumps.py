@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
@@ -55,8 +56,7 @@ class Jumps:
         }
         self.elements = {}
         if dampers:
-            from models.parts.damper_range import range_of
-
+            range_of = FEATURES.load("damper ranges").range_of
             self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
         self.places = index
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.

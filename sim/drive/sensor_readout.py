@@ -10,6 +10,7 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 
@@ -111,10 +112,11 @@ def batch_of(model: mujoco.MjModel, vehicles: Sequence[Vehicle], models: Sequenc
     """Returns a batch of N runs on one thread, each of its own model if there are several."""
     if any(one.acts and not one.native for one in vehicles[0].parts):
         from models.vehicle.suspension_forces import SuspensionForces
-        from sim.drive.part_steps import PartBatch
 
         tendons = [part.tendon for part in vehicles[0].kind.suspensions]
-        return PartBatch(model, tendons, SuspensionForces(vehicles, by_motor=True), len(vehicles), models)
+        return FEATURES.load("parts in MuJoCo").PartBatch(
+            model, tendons, SuspensionForces(vehicles, by_motor=True), len(vehicles), models
+        )
     batch = Batch(model, len(vehicles), 1)
     if models:
         batch.set_models(models)

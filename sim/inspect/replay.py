@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.errors import InputError, listing
 from models.kinds.signals import Signal, kept_signals
-from models.laws.law_structure import DesignRequest
+from models.laws.design_request import DesignRequest
 from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
 from models.roads.description import described_road

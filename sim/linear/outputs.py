@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.kinds.linear_model import LinearModel
 from models.roads.road import RoadInput
 from sim.drive.response import Response
@@ -46,10 +47,10 @@ def response_by_name(
     """
     vehicle, steady, place = road.vehicle, road.steady_signals(road.time), {name: i for i, name in enumerate(names)}
     if beside is None and vehicle.dampers:
-        from sim.linear.dampers import linear_signals
-
         states, forces = vehicle.linear_model.states, named(vehicle.linear_model.inputs, HELD)
-        beside = linear_signals(vehicle, *(outputs[:, [place[name] for name in some]] for some in (states, forces)))
+        beside = FEATURES.load("dampers in linear analysis").linear_signals(
+            vehicle, *(outputs[:, [place[name] for name in some]] for some in (states, forces))
+        )
     wheels, more, signals = vehicle.kind.wheels, beside or {}, vehicle.kind.signals
     values = np.hstack([road.heights, road.velocities, outputs[:, : len(names)], *(one[:, None] for one in more.values())])
     known = (*(one.road_displacement for one in wheels), *(one.road_velocity for one in wheels), *names, *more)

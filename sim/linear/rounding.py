@@ -9,6 +9,7 @@ The outputs follow from the linear model.
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import AnyController
@@ -24,12 +25,10 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
     rate, moved_states = effect_on_states(vehicle)
     pushed = np.zeros(len(model.inputs))
     if vehicle.dampers:  # the force of a damper is rounded as its velocity is
-        from sim.linear.dampers import stretching
-
         pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
             one.steepest_slope for one in vehicle.parts.adjustable
         ]
-        pushed *= np.abs(stretching(vehicle)) @ moved_states
+        pushed *= np.abs(FEATURES.load("dampers in linear analysis").stretching(vehicle)) @ moved_states
     if controller is None or controller.linear is False:
         return dict(zip(model.outputs, (np.abs(model.C) @ moved_states + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _largest_gain(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])

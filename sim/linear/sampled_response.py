@@ -37,6 +37,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, recursion
+from models.common.extensions import FEATURES
 from models.kinds.signals import kept_signals
 from models.roads.road import SAME_TIME, RoadInput, delays, jumps_under_wheels, under_wheels
 from models.vehicle.vehicle import Vehicle
@@ -85,9 +86,7 @@ def sampled_responses(
     """
     vehicle, h = roads[0].vehicle, roads[0].timestep
     if vehicle.parts.nonlinear:
-        from sim.linear.stepped import stepped
-
-        return stepped([controller] * len(roads), roads).response
+        return FEATURES.load("stepped response").stepped([controller] * len(roads), roads).response
     loop = loop_of(vehicle, controller, h, exponential)
     inputs = disturbances(roads)
     if controller.preview is not None:
@@ -348,9 +347,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
     if vehicle.dampers:
-        from sim.linear.dampers import stretching
-
-        V = stretching(vehicle)
+        V = FEATURES.load("dampers in linear analysis").stretching(vehicle)
         slopes = {one.force: one.slopes for one in vehicle.parts.adjustable}
         ends = np.array([slopes.get(force, (0.0, 0.0)) for force in forces]).T
         systems += [A - (vehicle.linear_model.B * d) @ V for d in ends]

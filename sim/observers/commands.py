@@ -8,11 +8,12 @@ code are started again and receive the same measurements.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.semi_active import SemiActive
+from models.common.extensions import FEATURES
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import CommandLimiter, command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -25,6 +26,9 @@ from sim.linear.rounding import roundings
 from sim.observers.recorder import Recording, from_steady
 from sim.observers.results import CommandAgreement
 from synth.controller.controller import AnyController, Controller
+
+if TYPE_CHECKING:
+    from models.laws.semi_active import SemiActive
 
 SPEED = 1e-8  # m/s, and of the largest closing velocity; measured up to 4e-16
 EXACT = 1e-10  # of the largest terms of a sum; rounding leaves up to 1e-13, and a command that is late by a sample 1e-3 and more
@@ -125,9 +129,7 @@ def _readings(controller: AnyController, road: RoadInput, recording: Recording, 
             far = np.abs(recording.measured[name][due] - physics[name][due]) / scale
             yield name, road.time[due], far, np.full(len(due), EXACT + rounded[name] / scale)
     if road.vehicle.dampers:
-        from sim.linear.dampers import closing_velocities
-
-        closing = closing_velocities(road.vehicle, physics.samples(due))
+        closing = FEATURES.load("dampers in linear analysis").closing_velocities(road.vehicle, physics.samples(due))
         for name, expected in zip(closing_names(road.vehicle), closing.T, strict=True):
             scale = float(np.abs(expected).max(initial=0.0)) or 1.0
             far = np.abs(recording.measured[name][due] - expected) / scale
@@ -197,18 +199,15 @@ def _linear(
     closing = samples.closing if vehicle.dampers else None
     given = forces if limiter is None else _limited(limiter, forces, logged)
     if law.anti_windup is not None:
-        from models.laws.anti_windup import anti_windup_gain
-        from models.parts.damper_range import range_of
-
-        of, gain = range_of([vehicle], [vehicle.limits.actuator_force]), anti_windup_gain(law)
+        range_of = FEATURES.load("damper ranges").range_of
+        of, gain = range_of([vehicle], [vehicle.limits.actuator_force]), FEATURES.load("anti-windup").anti_windup_gain(law)
         lost = of.clipped_off(forces, closing) if limiter is None else given - forces
         after = after + lost @ gain.T
         of_after = of_after + of_forces @ np.abs(gain).T
     states = after, EXACT * np.broadcast_to(of_after.max(axis=0, initial=0.0), after.shape)
     if closing is None:
         return given, slack, states
-    from models.parts.damper_range import range_of
-
+    range_of = FEATURES.load("damper ranges").range_of
     of = range_of([vehicle])
     speed = np.abs(of.effective_velocity(closing))
     commands = of.commands(np.concatenate([forces, closing], axis=1))
@@ -219,20 +218,17 @@ def _linear(
     )
 
 
-def _semi_active(controller: SemiActive, vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
+def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) -> tuple[Array, Array]:
     """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
-    from models.parts.damper_range import range_of
-    from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
-
-    of, whole = range_of([vehicle]), slice(None)
-    numbers = numbers_at(numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
+    semi_active = FEATURES.load("semi-active coefficients")
+    of, whole = FEATURES.load("damper ranges").range_of([vehicle]), slice(None)
+    numbers = semi_active.numbers_at(semi_active.numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
     commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers), samples.closing)
     return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
 
 
 def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Array:
     """Returns the commands of a law in Python, an FMU or exported code that is started again, shape (K, c)."""
-    from models.parts.damper_range import range_of
 
     vehicle, h = road.vehicle, road.timestep
     driver = driver_of([controller])
@@ -251,7 +247,7 @@ def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Arr
     requested = np.array(requests).reshape(len(requests), -1) if requests else np.zeros((0, 0))
     if not vehicle.dampers or driver.requests == "commands":
         return requested
-    of, closing = range_of([vehicle]), samples.closing[: len(requested)]
+    of, closing = FEATURES.load("damper ranges").range_of([vehicle]), samples.closing[: len(requested)]
     if driver.requests == "coefficients":
         return of.clip_coefficients(requested, closing)
     return of.commands(np.concatenate([requested, closing], axis=1))

@@ -42,6 +42,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.kinds.signals import names_of
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
@@ -127,9 +128,8 @@ def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
     """Returns the elements whose voltages are set."""
     if not vehicle.dampers:
         return ()
-    from models.parts.damper_range import range_of
 
-    return range_of([vehicle]).elements
+    return FEATURES.load("damper ranges").range_of([vehicle]).elements
 
 
 def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:

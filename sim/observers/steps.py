@@ -18,6 +18,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.kinds.signals import names_of
 from models.parts.part import STEP
 from models.roads.road import RoadInput
@@ -231,8 +232,7 @@ def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, l
         shown[one.force] = -coefficient * one.shape(ratios.of(one.force, travels[:, i]) * speeds[:, i])
         shown[one.coefficient] = one.nominal + coefficient
     if vehicle.dampers:
-        from models.parts.damper_range import range_of
-
+        range_of = FEATURES.load("damper ranges").range_of
         for one in range_of([vehicle]).elements:
             own, force = one.own_motion(travels[:, one.place], speeds[:, one.place]), vehicle.linear_model.inputs[one.column]
             shown[force] = one.element.push(*own, starts.own[:, one.states], given[:, one.column])

@@ -15,6 +15,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.command import versions
+from models.common.extensions import FEATURES
 from models.document.text import markdown
 from models.kinds.signals import is_kept
 from models.roads.road import Road, RoadInput, delays
@@ -26,7 +27,6 @@ from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED, 
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
 from sim.runs.run import Run
-from synth.analysis.record import to_record
 from synth.controller.report import norm_if_implemented, norm_record
 
 if TYPE_CHECKING:
@@ -232,9 +232,8 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         files[named["road_file"]] = ("text/csv", points)
     proved: dict[str, Any] = {}
     if controller.user_code is True:
-        from sim.linear.dampers import command_names
-        from sim.runs.forces import written_forces
-
+        command_names = FEATURES.load("dampers in linear analysis").command_names
+        written_forces = FEATURES.load("forces of parts").written_forces
         for what, suffix, media_type, content in (
             ("law", "py", "text/x-python", controller.source.encode()),
             ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.requested_force)),
@@ -248,7 +247,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
             "designed": controller.designed,
             "stable": certificate.stable,
             "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-            "certificate": to_record(certificate) | norm_record(norm),
+            "certificate": FEATURES.load("certificates as data").to_record(certificate) | norm_record(norm),
         }
     claims = {
         **controller_object(controller),
@@ -298,13 +297,10 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     drawn: tuple[Diagram, ...] = ()
     responses = {MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous}
     if road.loaded:
-        from sim.runs.forces import pushed
-
-        acting[LOADS] = pushed(vehicle, road, run.physics.time)
+        acting[LOADS] = FEATURES.load("forces of parts").pushed(vehicle, road, run.physics.time)
     if vehicle.parts.with_curve or vehicle.parts.adjustable:
-        from sim.runs.force_diagram import diagrams, pulled
-
-        acting[DAMPERS], drawn = pulled(vehicle, run.physics), tuple(diagrams(vehicle))
+        force_diagram = FEATURES.load("force diagrams")
+        acting[DAMPERS], drawn = force_diagram.pulled(vehicle, run.physics), tuple(force_diagram.diagrams(vehicle))
     if measured is not None and (names := [one for one in measured.names if one in run.physics.names]):
         acting[MEASURED] = measured.only(names)
     return RunLog(

@@ -7,10 +7,9 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.document.document import Document, Statement, Table, notes
+from models.document.document import Document, Pivot, Statement, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
-from models.document.reading import Pivot
 from models.document.text import names_text
 from sim.command.road_options import end_lines
 from sim.observers.results import DIFFERENCE, WHEN

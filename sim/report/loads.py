@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.document.document import Document, Table, notes
+from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, thinned
-from models.document.reading import Pivot
 from models.kinds.links import left_out
 from models.roads.load import Load
 from models.roads.load_choice import choose_load

@@ -8,10 +8,9 @@ from operator import attrgetter
 import numpy as np
 
 from models.common.printed import as_name
-from models.document.document import Document, Table, notes
+from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, Style
-from models.document.reading import Pivot
 from models.document.text import joined
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough

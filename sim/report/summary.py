@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.printed import as_name, digits
-from models.document.document import Document, Table
+from models.document.document import Document, Pivot, Table
 from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
-from models.document.reading import Pivot
 from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached

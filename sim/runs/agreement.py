@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,8 +36,10 @@ from sim.linear.rounding import effect_on_states, roundings
 from sim.observers.recorder import Recording, from_steady
 from sim.observers.registry import observer
 from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreement
-from sim.runs.code_effect import CodeEffect
 from sim.runs.prediction import Prediction
+
+if TYPE_CHECKING:
+    from sim.runs.code_effect import CodeEffect
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; where RK4's own error is larger, the timestep is too coarse for an accurate run
@@ -165,7 +168,7 @@ class Agreement(Shown):
     linear: LinearComparison
     steps: StepAgreement | None = None
     commands: CommandAgreement | None = None
-    code_effect: CodeEffect | None = None
+    code_effect: "CodeEffect | None" = None
 
     @property
     def shown(self) -> Document:

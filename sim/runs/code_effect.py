@@ -53,6 +53,11 @@ class CodeEffect:
         return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
 
     @property
+    def record(self) -> dict[str, Any]:
+        """The differences as a JSON object."""
+        return {name: {"peak": finite(self.peak(name)), "rms": finite(self.rms(name))} for name in self.apart}
+
+    @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the control law itself does not agree with the model"]
@@ -85,11 +90,3 @@ def code_effect(
     ranges = [] if law.ranges is None else law.ranges
     clipped = tuple(name for name, most in zip(driver.measured, ranges, strict=False) if code.peak(name) > most)
     return CodeEffect(law.numbers, apart, shares[furthest], furthest, law_agrees, clipped)
-
-
-def code_object(effect: CodeEffect | None) -> dict[str, Any]:
-    """Returns the effect of exported code for JSON; empty without such code."""
-    if effect is None:
-        return {}
-    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
-    return {"code_difference": apart}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
@@ -78,9 +79,8 @@ class Prediction:
             return continuous_response(self.controller, self.input)
         if not self.is_linear:
             return self._nothing
-        from sim.linear.forced_response import forced_continuous_response
 
-        return forced_continuous_response(self.requested_force, self.input)
+        return FEATURES.load("response to given forces").forced_continuous_response(self.requested_force, self.input)
 
     @cached_property
     def radius(self) -> float:
@@ -105,17 +105,14 @@ class Prediction:
             nothing = self._nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
             return nothing, nothing, None
         if self.vehicle.parts.nonlinear:
-            from sim.linear.stepped import forced, stepped
-
-            runs = forced(self.requested_force, road) if controller is None else stepped([controller], [road])
+            stepping = FEATURES.load("stepped response")
+            runs = stepping.forced(self.requested_force, road) if controller is None else stepping.stepped([controller], [road])
             response = with_decisions(runs.single, [self.vehicle])
             return response, response, runs.finer.run(0)
         if controller is not None:
             respond = partial(sampled_response, controller, road)
         else:
-            from sim.linear.forced_response import forced_response
-
-            respond = partial(forced_response, self.requested_force, road)
+            respond = partial(FEATURES.load("response to given forces").forced_response, self.requested_force, road)
         return with_decisions(respond(), [self.vehicle]), respond(exponential=taylor4), None
 
     @property
@@ -161,9 +158,8 @@ class Prediction:
         road = RoadInput(self.vehicle.linearised, self.road, self.time)
         if self.controller.linear is True:
             return sampled_response(self.controller, road)
-        from sim.linear.forced_response import forced_response
 
-        return forced_response(self.requested_force, road)
+        return FEATURES.load("response to given forces").forced_response(self.requested_force, road)
 
     @property
     def cause(self) -> str:

@@ -8,10 +8,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from models.common.extensions import FEATURES
 from models.common.printed import as_name, entry, finite, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Detail, Field, json_object
@@ -35,9 +36,7 @@ from sim.drive.regime import (
 from sim.drive.response import Response
 from sim.observers.results import ALLOWED, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
-from sim.runs.code_effect import CodeEffect, code_object
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
-from sim.runs.stops import stop_names, stop_note, stops_object
 from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
@@ -54,6 +53,9 @@ from synth.controller.report import (
     study_notes,
 )
 from synth.controller.report import notes as controller_remarks
+
+if TYPE_CHECKING:
+    from sim.runs.code_effect import CodeEffect
 
 LOST = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
@@ -113,10 +115,10 @@ def run_object(run: RunResult) -> dict[str, Any]:
         "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
         "cause": agreement.cause,
         **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
-        **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
+        **({"stops": FEATURES.load("stops that a run reaches").stops_object(run)} if run.vehicle.limits.stopped else {}),
         **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
         **_decay_object(run),
-        **code_object(run.prediction.code_effect),
+        **({"code_difference": code.record} if (code := run.prediction.code_effect) is not None else {}),
         **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
         **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
     }
@@ -146,8 +148,7 @@ def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | 
 
 def _dampers_object(run: RunResult) -> dict[str, Any]:
     """Returns the force that semi-active dampers did not give as a JSON object."""
-    from sim.runs.dampers import shortfalls
-
+    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
     return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
 
 
@@ -196,7 +197,7 @@ def controller_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         *controller_remarks(controller),
         *certificate.remarks,
         *notes_on_sampled_loop(vehicle, certificate, built),
-        *failures_of_sampled_loop(vehicle, certificate, certificate.failures, built),
+        *failures_of_sampled_loop(vehicle, certificate, certificate.loop_failures, built),
     ]
 
 
@@ -260,7 +261,7 @@ def _when(run: RunResult) -> str:
         return "over the whole run"
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
-        ended[ended.index(BUMP_STOP.name)] = stop_names(run, agreement.until)
+        ended[ended.index(BUMP_STOP.name)] = FEATURES.load("stops that a run reaches").stop_names(run, agreement.until)
     other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
@@ -311,7 +312,8 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
         full: False to leave details out, which need the linear responses.
     """
     detail: Detail = "full" if run.passed and math.isinf(run.diverged) and not run.prediction.radius >= 1 else "normal"
-    stops = notes(*filter(None, [stop_note(run)]))
+    contact = FEATURES.load("stops that a run reaches").stop_note(run) if run.vehicle.parts.strokes else ""
+    stops = notes(*filter(None, [contact]))
     if not full and detail == "full":
         return stops
     said = [*notes(*_events(run)), *(_damper_notes(run) if run.vehicle.dampers else [])]
@@ -347,7 +349,8 @@ def _events(run: RunResult) -> Iterator[str]:
     elif vehicle.limits.actuator_bandwidth is not None and vehicle.limits.limits_commands:
         said[SATURATION] = COMMAND_LIMITED
     if math.isfinite(when := times[BUMP_STOP.name]):
-        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stop_names(run, when), 1)
+        stops = FEATURES.load("stops that a run reaches").stop_names(run, when)
+        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, stops, 1)
     yield from (line.format(when=WHEN.text(times[end.name])) for end, line in said.items() if math.isfinite(times[end.name]))
     left = departures(vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     yield from (
@@ -498,18 +501,16 @@ def _decay_words(run: RunResult) -> list[str]:
     """Returns a sentence on the free decay of a run from a given start; empty without one."""
     if not run.vehicle.start:
         return []
-    from sim.runs.decay import decay_words
 
-    return [words] if (words := decay_words(run)) else []
+    return [words] if (words := FEATURES.load("decay").decay_words(run)) else []
 
 
 def _decay_object(run: RunResult) -> dict[str, Any]:
     """Returns the modes of a free decay for JSON; empty without a given start."""
     if not run.vehicle.start:
         return {}
-    from sim.runs.decay import decay_object
 
-    return decay_object(run)
+    return FEATURES.load("decay").decay_object(run)
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
@@ -534,8 +535,7 @@ def signal_table(run: RunResult, passive: Response | None = None) -> Table:
 
 def _damper_notes(run: RunResult) -> list[Statement]:
     """Returns sentences on the force that semi-active dampers did not give, and what that means for linear analysis."""
-    from sim.runs.dampers import shortfalls
-
+    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
     names, texts, most = {one.force: one.coefficient for one in run.vehicle.parts.adjustable}, list[str](), 0.0
     delayed = ["delay"] * bool(run.vehicle.implementation.delay)
     delayed += ["valve lag"] * any(one.bandwidth is not None for one in run.vehicle.dampers.values())
@@ -561,7 +561,7 @@ def _damper_notes(run: RunResult) -> list[Statement]:
     return [*notes(*texts)]
 
 
-def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
+def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
     """Returns a sentence on the exported code that drives a run and its distance from the run of the law; none without code."""
     if effect is None:
         return []
@@ -576,7 +576,7 @@ def code_notes(effect: CodeEffect | None, vehicle: Vehicle) -> list[str]:
     return [f"{line}; with the control law itself, {force} differs by {apart}, and every signal by at most {share} of its peak"]
 
 
-def code_table(effect: CodeEffect, vehicle: Vehicle) -> Table:
+def code_table(effect: "CodeEffect", vehicle: Vehicle) -> Table:
     """Returns the difference of every signal from the run with the law itself."""
     fields = (
         Field[str]("signal", lambda name: name.replace("_", " ")),

@@ -10,10 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Time
 from models.common.errors import InputError
-from models.common.plausibility import remarks
+from models.common.extensions import FEATURES
 from models.document.document import Block, Document
-from models.document.figure import BLUE, Figure, Style
 from models.document.text import Shown, facts
+from models.kinds.plausibility import remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
@@ -27,7 +27,6 @@ from sim.observers.recorder import Recording, record
 from sim.observers.registry import observer
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
-from sim.runs.code_effect import code_effect
 from sim.runs.prediction import Prediction, predicted
 from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
@@ -59,9 +58,9 @@ class Run(RunResult, Shown):
     @property
     def drawn(self) -> tuple[Block, ...]:
         """The sizes of all signals, and the first weighted one over time."""
-        from sim.runs.time_histories import history_panels
+        from models.document.figure import BLUE, Figure, Style
 
-        panels = history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
+        panels = FEATURES.load("time histories").history_panels([self], {self.controller.name: Style(BLUE, "solid", "o")})[:1]
         figure = Figure("run", "Lines show the exact sampled response, markers show MuJoCo.", tuple(panels), columns=1)
         return (signal_table(self), *([figure] if panels else []))
 
@@ -183,7 +182,8 @@ def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[R
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
-        effect = code_effect(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
+        effect_of = FEATURES.load("effect of exported code").code_effect
+        effect = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
         whole[i] = replace(one, code_effect=effect)
     return whole
 

@@ -2,19 +2,22 @@
 
 from dataclasses import replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate, LmiProof, certify, eta_of, prove_bound
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import balance
-from synth.plant.discrete import continuous_loop
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
 from synth.plant.units import size
+
+if TYPE_CHECKING:
+    from synth.analysis.lower_bound import LowerBound
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of the bound from the norm; the first that is proved counts
 SMALL = (1e-9, 1e-6, 1e-3)  # relative to the size of the plant's matrices: bounds for norms that are nearly zero
@@ -31,7 +34,7 @@ UNOBSERVABLE = 1e-14  # relative to the largest: a smaller observability is roun
 def certify_tightly(
     plant: Plant,
     G: Array | Feedback,
-    lower_bound: LowerBound | None = None,
+    lower_bound: "LowerBound | None" = None,
     by_itself: Plant | None = None,
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
@@ -48,7 +51,7 @@ def certify_tightly(
         return plain
     # A peak near z = -1 is mapped to 0, not to infinity: there the weight of the Riccati equation would be singular.
     near_nyquist, step = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
-    loop = continuous_loop(plant.closed_loop(G), turned=near_nyquist)
+    loop = FEATURES.load("discrete plants").continuous_loop(plant.closed_loop(G), turned=near_nyquist)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
     rates = plant.differences
     unit = float(np.linalg.norm(rates.Dw, 2)) + size(rates.C) * size(rates.Bw) / size(rates.A)
@@ -67,7 +70,7 @@ def certify_tightly(
     return plain
 
 
-def certify_law(plant: Plant, law: LinearLaw, lower_bound: LowerBound | None = None) -> Certificate:
+def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" = None) -> Certificate:
     """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
     return certify_tightly(*plant.with_law(law), lower_bound, by_itself=plant)
 

@@ -23,10 +23,10 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.discrete import LEFT, MOST_TURNS, continuous_loop, mapped_frequency, response_closely, true_frequency
-from synth.plant.double_double import added, multiplied, product
+from synth.plant.double_double import LEFT, MOST_TURNS, added, multiplied, product
 from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
@@ -295,8 +295,9 @@ def hinf_norm(system: Plant) -> Norm:
     """
     unstable = Norm(np.inf, np.nan, np.inf, np.inf)
     if system.dt is not None:
-        stable = stability(system.A, system.dt).stable
-        return discrete_by_both_routes(system, system.dt, Gain(continuous_loop(system))) if stable else unstable
+        if not stability(system.A, system.dt).stable:
+            return unstable
+        return discrete_by_both_routes(system, system.dt, Gain(FEATURES.load("discrete plants").continuous_loop(system)))
     gain = Gain(system)
     return by_both_routes(gain) if gain.stable else unstable
 
@@ -322,21 +323,23 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
     They run on its bilinear image, which only proposes frequencies. The gain there is that of the discrete system.
     """
-    norms = []
+    norms, discrete = [], FEATURES.load("discrete plants")
     for route in (by_level_sets, by_sweep):
         value, at = route(gain)
-        T, missing = response_closely(system, at * dt / 2)
+        T, missing = discrete.response_closely(system, at * dt / 2)
         true = float(np.linalg.norm(T, 2))
         norms.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
     (level, _, _), (sweep, _, _) = norms
     value, at, rounding = max(norms)
-    return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.missed(at) + gain.last if value else 0.0)
+    return Norm(value, discrete.true_frequency(at, dt), level, sweep, rounding + gain.missed(at) + gain.last if value else 0.0)
 
 
 def gain_at(system: Plant, omega: float) -> float:
     """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
-        return float(np.linalg.norm(response_closely(system, mapped_frequency(omega, system.dt) * system.dt / 2)[0], 2))
+        discrete = FEATURES.load("discrete plants")
+        at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
+        return float(np.linalg.norm(discrete.response_closely(system, at)[0], 2))
     return float(Gain(system).at_double_double(np.array([omega]))[0][0])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.common.extensions import FEATURES
 from models.common.printed import exactly
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
@@ -123,9 +124,7 @@ def _proved(record: Mapping[str, Any], plant: Plant) -> LowerBound:
         lower_bound = LowerBound(proved_at(plant, limit_at), limit_at=limit_at)
     zeros = _zeros(record)
     if zeros is not None:
-        from synth.analysis.interpolation import limit_at_zeros
-
-        gamma = limit_at_zeros(plant, zeros)
+        gamma = FEATURES.load("zeros").limit_at_zeros(plant, zeros)
         lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
     state, observer = _dual_certificate(record, "state"), _dual_certificate(record, "observer")
     if state is not None:

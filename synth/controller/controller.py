@@ -8,23 +8,24 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Checked, validated
 from models.common.errors import InputError, error_in, listing
+from models.common.extensions import FEATURES
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
+    from models.document.figure import Figure
     from models.laws.preview import RoadPreview
+    from models.laws.python_law import Programmed
+    from models.laws.semi_active import SemiActive
+    from synth.analysis.lower_bound import LowerBound
     from synth.analysis.specification import Specification
 
 
@@ -94,7 +95,7 @@ class Controller(ControlLaw, Checked, Shown):
         return facts(f"controller {self.name}: {made}, {certificate.shown.title}", rows)
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop."""
         return self.certificate.drawn
 
@@ -208,7 +209,10 @@ class Controller(ControlLaw, Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
-AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+if TYPE_CHECKING:
+    AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+else:
+    AnyController = ControlLaw  # its base, as the laws of the others are imported where they are used
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
@@ -261,18 +265,18 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     Raises:
         InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
     """
-    from synth.analysis.record import false_claims, read_proof
+    records = FEATURES.load("certificates as data")
 
     law, record = _law(entry), entry.certificate or {}
     with error_in(f"[controllers.{entry.name}]"):
         judged = posed.judged(law)
         of_law = len(judged.plant.A) - len(posed.plant.A)
-        X, eta, lower_bound = read_proof(record, posed.plant, of_law)
+        X, eta, lower_bound = records.read_proof(record, posed.plant, of_law)
         certificate = judged.certificate(X, eta, lower_bound)
-    return certificate, (*certificate.failures, *false_claims(record, certificate))
+    return certificate, (*certificate.failures, *records.false_claims(record, certificate))
 
 
-def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
+def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
     """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
 
     Raises:

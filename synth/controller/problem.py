@@ -23,12 +23,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.kinds.linear_model import LinearModel
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
-from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.augmented import append, gain, with_weights
@@ -37,6 +37,7 @@ from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
     from models.laws.filter import Filter
+    from synth.analysis.lower_bound import LowerBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,9 @@ class ClosedLoop:
         """The closed loop from w to z."""
         return self.lasting or self.plant.closed_loop(self.G)
 
-    def certificate(self, X: Array | None = None, eta: float | None = None, lower_bound: LowerBound | None = None) -> Certificate:
+    def certificate(
+        self, X: Array | None = None, eta: float | None = None, lower_bound: "LowerBound | None" = None
+    ) -> Certificate:
         """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
         if self.lasting is None:
             return certify(self.plant, self.G, X, eta, lower_bound, by_itself=self.by_itself)
@@ -124,9 +127,8 @@ class Problem:
         """Returns the law on the readings of one on them and the measured integrals, which become its first states."""
         if self.integrated is None:
             return law
-        from synth.controller.integral_action import with_integrators
 
-        return with_integrators(law, self.integrated)
+        return FEATURES.load("integral action").with_integrators(law, self.integrated)
 
     def judged(self, law: LinearLaw) -> "ClosedLoop":
         """Returns the loop of a law on the readings, as its certificate is of.
@@ -139,13 +141,12 @@ class Problem:
             larger, G = self.plant.with_law(law)
             judged = ClosedLoop(larger, G, self.plant, self.states, law.states)
             return judged if self.of_heights is None else self._over_datum(judged, self.of_heights)
-        from synth.controller.integral_action import integrators_of, on_integrals, settled
-
-        kept = integrators_of(law, self.integrated)
-        mine = on_integrals(law, self.integrated, kept)
+        integral_action = FEATURES.load("integral action")
+        kept = integral_action.integrators_of(law, self.integrated)
+        mine = integral_action.on_integrals(law, self.integrated, kept)
         larger, G = self.plant.with_law(mine)
         lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
-        rows = settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
+        rows = integral_action.settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
         if rows is None:
             return ClosedLoop(larger, G, self.plant, self.states, mine.states)
         stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
@@ -158,8 +159,7 @@ class Problem:
 
     def _over_datum(self, judged: ClosedLoop, of_heights: Array) -> ClosedLoop:
         """Returns the loop of a law that measures heights; unchanged if it is not stable."""
-        from synth.controller.integral_action import RETURNS
-
+        RETURNS = FEATURES.load("integral action").RETURNS
         assert self.rates is not None, "they come with the heights"
         plant, loop = judged.plant, judged.loop
         if not is_stable(beside_weights(self.plant, loop.A)):

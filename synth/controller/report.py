@@ -8,6 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError, listing
+from models.common.extensions import FEATURES
 from models.common.printed import NORM_DIGITS, as_name, finite, percent, rough
 from models.document.field import Field
 from models.kinds.signals import load_signal
@@ -44,12 +45,12 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     """
     if vehicle.implementation.undelayed:
         return None
-    from synth.analysis.sampled_norm import stable
-    from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
-
-    if not has_sampled_norm(vehicle, controller) and stable(sampled_loop(vehicle, controller, timestep)):
+    implemented = FEATURES.load("norm as implemented")
+    if not has_sampled_norm(vehicle, controller) and FEATURES.load("sampled norm").stable(
+        implemented.sampled_loop(vehicle, controller, timestep)
+    ):
         return None
-    return norm_as_implemented(vehicle, controller, timestep)
+    return implemented.norm_as_implemented(vehicle, controller, timestep)
 
 
 def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
@@ -159,28 +160,25 @@ SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 
 def law_text(law: LinearLaw) -> str:
     """Returns a static law as its gain, and others by their equations, or their gains as a PI or PID law."""
-    from models.laws.law_structure import pid_text
 
     if not law.states:
         return f"gain {gain_text(law.D)}"
-    return "; ".join(filter(None, (law.text, pid_text(law))))
+    return "; ".join(filter(None, (law.text, FEATURES.load("PID laws").pid_text(law))))
 
 
 def pid_line(controller: Controller) -> str:
     """Returns the gains of a designed PI or PID law, continuous or discrete, as in a vehicle file; empty for other laws."""
-    from models.laws.law_structure import ITS_GAINS, pid_text
-
-    remarked = (remark.partition(ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
-    return next(filter(None, remarked), "") or pid_text(controller.law)
+    pid = FEATURES.load("PID laws")
+    remarked = (remark.partition(pid.ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
+    return next(filter(None, remarked), "") or pid.pid_text(controller.law)
 
 
 def sign_note(controller: Controller) -> str:
     """Returns a note on the signs of a PI or PID law whose loop is unstable; empty of others, and without a positive gain."""
     if controller.certificate.stable or not controller.law.states:
         return ""
-    from models.laws.law_structure import GAINS, pid_gains
-
-    if not any(gains.get(name, 0.0) > 0 for gains in pid_gains(controller.law) for name in GAINS):
+    pid = FEATURES.load("PID laws")
+    if not any(gains.get(name, 0.0) > 0 for gains in pid.pid_gains(controller.law) for name in pid.GAINS):
         return ""
     return "; a positive kp, ki or kd lifts the body, which increases an extension: give negative gains to oppose it"
 
@@ -212,9 +210,8 @@ def line_notes(vehicle: Vehicle) -> list[str]:
     """Returns a note on the linearisation at equilibrium; empty for a vehicle without curves."""
     if not vehicle.parts.with_curve:
         return []
-    from models.parts.lines import lines_at_rest
 
-    slopes = lines_at_rest(vehicle.parts.with_curve)
+    slopes = FEATURES.load("lines of parts").lines_at_rest(vehicle.parts.with_curve)
     return [f"{OF} the linearisation at equilibrium: {slopes}."] if slopes else []
 
 

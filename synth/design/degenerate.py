@@ -17,7 +17,8 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.stability import balance, is_stable, largest, pole_text, stabilisability_failures
 from synth.design.problem import WellPosedProblem
-from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
+from synth.lmi.output_nulling import RANK, output_nulling_gains, output_nulling_subspace
+from synth.lmi.unobservable import remove_unobservable
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.plant.units import own_units, size

@@ -17,9 +17,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import brief, digits, percent, rough
 from models.laws.linear import static_law
-from synth.analysis.lower_bound import LowerBound
-from synth.analysis.norm import hinf_norm
-from synth.analysis.stability import is_stable
+from synth.design.methods import FAR, insufficient
 from synth.design.problem import DESCENT, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress
 from synth.design.two_step import (
     NO_GAIN,
@@ -33,38 +31,16 @@ from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, NoSolutionError
 
 if TYPE_CHECKING:
+    from synth.analysis.lower_bound import LowerBound
     from synth.design.descent.landscape import Work
 
 ITS_GAIN, SEARCHED = "descent from its gain", "descent from its gain and other starts"  # how a norm is lowered
 EQUATION = "a Riccati equation for the state feedback"
 BOTH = f"{TWO_STEPS} and {DESCENT}"
-KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 LEVELS = tuple(NEAR * 2 ** (k / 2) for k in range(11))  # relative; norms of state feedbacks above what no controller beats
 MOST_GROWTH = 2.0**100  # of a gain from zero
 LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
-FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
-
-
-def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
-    """Returns why the result of the two steps is not left at that, in words; empty where it is.
-
-    The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
-    moves; L (14) ties a gain to that X all the same. So with filters descent goes on from the two steps. It also goes on
-    from a gain whose norm is above that without control.
-    """
-    plant, norm, gap = problem.plant, steps.certificate.norm.value, steps.certificate.gap
-    if np.any(plant.Dyw):
-        return KNOW_NO_NOISE
-    entry = float(np.abs(steps.gain).max(initial=0.0))
-    if problem.largest_gain < LARGEST_GAIN and entry > problem.largest_gain:
-        return f"the two-step method needs a gain of {rough(entry)}, but {problem.largest_gain:g} is the largest allowed"
-    far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    if plant.weights and (gap is None or gap > FAR):
-        return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
-    if is_stable(plant.A, plant.dt) and (passive := hinf_norm(plant).value) < norm * (1 - SEEN):
-        return f"the two-step method ends at {digits(norm)}, above {digits(passive)} without control"
-    return ""
 
 
 def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
@@ -77,7 +53,7 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     plant, steps, failure = problem.plant, problem.start, problem.failure
     if steps is None:
         reason = NO_SECOND_STEP if isinstance(failure, NoSolutionError) else str(failure)
-    elif steps.method != TWO_STEPS or not (reason := insufficient(problem, steps)):
+    elif not (reason := insufficient(problem, steps)):
         return steps
     _, _, kept = independently_measured(plant)
     independent, given = plant.rows(kept), (problem.largest_gain, problem.lower_bound)
@@ -173,7 +149,7 @@ def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tupl
     return lowest if lowest is not design else faster, growth, origin, nearer
 
 
-def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float) -> tuple[list[Array], str]:
+def _state_feedback(plant: Plant, below: "LowerBound | None", largest_gain: float) -> tuple[list[Array], str]:
     """Returns the state feedback of a Riccati equation nearest to the lower bound that is not too fast, and why none is nearer.
 
     Poles beyond any actuator are accepted if a largest gain is given. None is returned unless all states are measured.
@@ -195,7 +171,7 @@ def _state_feedback(plant: Plant, below: LowerBound | None, largest_gain: float)
     return [], why
 
 
-def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: LowerBound | None) -> tuple[DesignResult, str] | None:
+def _known_gain(plant: Plant, two_steps: DesignResult | str, lower_bound: "LowerBound | None") -> tuple[DesignResult, str] | None:
     """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
     from synth.analysis.bounding import certify_law
 

@@ -16,10 +16,11 @@ from models.common.checks import Bound, NotNegative, Positive, PositiveTime
 from models.common.errors import InputError, error_in, listing, quoted
 from models.common.printed import digits, percent
 from models.common.schema import read
-from models.laws.combinations import FULL, PATTERNS, STATIC, check_together, is_order, section_parts
-from models.laws.design_methods import DESIGNS, PREVIEW
+from models.laws.combinations import check_together, is_order, section_parts
+from models.laws.design_methods import DESIGNS, FULL, PATTERNS, PREVIEW, STATIC
+from models.laws.design_request import LawStructure
 from models.laws.goals import REGRET
-from models.laws.law_structure import LawStructure, StructureSection
+from models.laws.law_structure import StructureSection
 from models.laws.linear import MOST_STATES, LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound

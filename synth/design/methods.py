@@ -1,6 +1,6 @@
 """The choice between the methods of design, and `design`, which runs the chosen methods.
 
-A method is a function in a file of its own, and a line in `METHODS` of `models.laws.design_methods`:
+A method is a function in a file of its own, and a row in `EXTENSIONS` of `models.common.extensions`:
 
     def method(problem: DesignProblem, progress: Progress) -> DesignResult
 
@@ -8,32 +8,22 @@ It raises an InputError, such as a DesignError, where it finds no controller.
 """
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from models.common.errors import InputError, alike
-from models.common.lazy import named
-from models.laws.design_methods import METHODS
-from models.laws.law_structure import FULL
-from synth.design.problem import H2_NORM, DesignProblem, DesignResult, Progress, quiet
+from models.common.errors import InputError
+from models.common.extensions import FEATURES, METHODS
+from models.common.printed import digits, percent, rough
+from models.laws.design_methods import FULL
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
+from synth.design.problem import H2_NORM, LARGEST_GAIN, SEEN, TWO_STEPS, DesignProblem, DesignResult, Progress, quiet
 from synth.plant.numerics import InfeasibleError, numerics
 
+FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
+KNOW_NO_NOISE = "the two-step method ignores measurement noise"
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
-
-Method = Callable[[DesignProblem, Progress], DesignResult]
-
-
-def method_of(name: str) -> Method:
-    """Returns the method of a name.
-
-    Raises:
-        InputError: no method has that name.
-    """
-    if name not in METHODS:
-        raise InputError(f"design method {name!r} is not known; known are {alike(name, METHODS)}")
-    return named(METHODS[name])
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -58,6 +48,30 @@ def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return static, ("descent", "refinement") if problem.alternatives else ("descent",)
 
 
+def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
+    """Returns why descent goes on from a result of the two steps, in words; empty if this result suffices, and for others.
+
+    The two steps ignore noise. The X of (22) feeds back every state, those of filters too, which y does not have and no control
+    moves; L (14) ties a gain to that X all the same. So with filters descent goes on from the two steps. It also goes on
+    from a gain whose norm is above that without control.
+    """
+    plant, certificate = problem.plant, steps.certificate
+    norm = certificate.norm.value
+    if steps.method != TWO_STEPS:
+        return ""
+    if np.any(plant.Dyw):
+        return KNOW_NO_NOISE
+    entry = float(np.abs(steps.gain).max(initial=0.0))
+    if problem.largest_gain < LARGEST_GAIN and entry > problem.largest_gain:
+        return f"the two-step method needs a gain of {rough(entry)}, but {problem.largest_gain:g} is the largest allowed"
+    if plant.weights and ((gap := certificate.gap) is None or gap > FAR):
+        far = f", {percent(gap)} above the lower bound" if gap is not None else ""
+        return f"the two-step method ends at {digits(norm)}{far}: its X needs filter states, which y lacks"
+    if is_stable(plant.A, plant.dt) and (passive := hinf_norm(plant).value) < norm * (1 - SEEN):
+        return f"the two-step method ends at {digits(norm)}, above {digits(passive)} without control"
+    return ""
+
+
 @numerics()
 def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
     """Designs a controller by the methods that a problem leads to.
@@ -75,7 +89,7 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
     failures: list[Exception] = []
     for name in tries:
         try:
-            problem = problem.starting(method_of(name)(problem, progress))
+            problem = problem.starting(METHODS.load(name)(problem, progress))
             break
         except (InputError, np.linalg.LinAlgError) as error:
             if isinstance(error, InfeasibleError) and not failures:
@@ -86,7 +100,9 @@ def design(problem: DesignProblem, progress: Progress = quiet) -> DesignResult:
         assert failures, "a method returns a result"
         raise failures[0] if problem.order == FULL else failures[-1]
     for name in further:
-        problem = problem.starting(method_of(name)(problem, progress))
+        if name == "descent" and problem.start is not None and not insufficient(problem, problem.start):
+            continue
+        problem = problem.starting(METHODS.load(name)(problem, progress))
     assert problem.start is not None, "a method returns a result"
     return _instead_of_riccati(problem, problem.start, failures[0]) if failures and problem.order == FULL else problem.start
 
@@ -101,10 +117,8 @@ def _possible(problem: DesignProblem) -> DesignProblem:
 
     check_stabilisable(problem.plant, problem.states)
     if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
-        from synth.lmi.full_order_bound import find_lower_bound
-
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            return replace(problem, lower_bound=find_lower_bound(problem.plant))
+            return replace(problem, lower_bound=FEATURES.load("lower bounds").find_lower_bound(problem.plant))
     return problem
 
 

@@ -10,17 +10,18 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import digits
 from models.document.document import Document
-from models.document.figure import Figure
 from models.document.text import Shown, facts
-from models.laws.law_structure import STATIC, LawStructure
+from models.laws.design_methods import STATIC
+from models.laws.design_request import LawStructure
 from models.laws.linear import LinearLaw, gain_text, states_text
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.stability import is_stable
 from synth.plant.generalized import Plant
 
 if TYPE_CHECKING:
+    from models.document.figure import Figure
     from models.laws.preview import RoadPreview
+    from synth.analysis.lower_bound import LowerBound, SampledBound
     from synth.analysis.sampled_loop import SampledDataProblem
     from synth.design.descent.landscape import Work
     from synth.design.multi_objective.problem import MultiObjectiveProblem
@@ -114,14 +115,14 @@ class DesignProblem:
     noise: Sequence[float] | None = None
     preview: float = 0.0
     sampled: "SampledDataProblem | None" = None
-    sampled_bound: SampledBound | None = None
+    sampled_bound: "SampledBound | None" = None
     known: Sequence[LinearLaw] = ()
     near: float = 1.0
     goals: "MultiObjectiveProblem | None" = None
     errors: "StructuredPlant | None" = None
     alternatives: bool = True
     thorough: bool = True
-    lower_bound: LowerBound | None = None
+    lower_bound: "LowerBound | None" = None
     states: Sequence[str] = ()
     path: "Callable[[], Sequence[CentralPoint]]" = tuple
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed
@@ -253,7 +254,7 @@ class DesignResult(Shown):
         return facts(f"{how}, {self.certificate.shown.title}", {**law, **value, **self.certificate.claims, **words})
 
     @property
-    def drawn(self) -> tuple[Figure, ...]:
+    def drawn(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop."""
         return self.certificate.drawn
 

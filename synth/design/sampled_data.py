@@ -36,7 +36,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import digits, percent
-from models.laws.law_structure import FULL
+from models.laws.design_methods import FULL
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem

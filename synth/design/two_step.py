@@ -16,22 +16,25 @@ import contextlib
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.laws.linear import unchecked_static_law
-from synth.analysis.certificate import FASTEST, Certificate, certify
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.certificate import FASTEST, Certificate, KnownBound, certify
 from synth.design.problem import TWO_STEPS, DesignProblem, DesignResult, Progress, WellPosedProblem
 from synth.lmi.central_path import LIMIT, CentralPoint, central_path, fits, unknowns
-from synth.lmi.unobservable import sees_every_state
+from synth.lmi.output_nulling import sees_every_state
 from synth.plant.generalized import Feedback, Plant, check_inputs, check_states, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import independent, own_units, unit_rows
+
+if TYPE_CHECKING:
+    pass
 
 MOST = 1100  # unknowns of step 1, 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative distance up to which a state gain G counts as K C_y
@@ -131,9 +134,8 @@ def well_posed(plant: Plant) -> WellPosedProblem:
         own = plant.differences.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces))
         if sees_every_state(own):
             return WellPosedProblem(plant, regular=True)
-    from synth.design.degenerate import regularised
 
-    return regularised(plant)
+    return FEATURES.load("degenerate plants").regularised(plant)
 
 
 NO_SECOND_STEP = "problem (25) has no solution for the X of (22), but another gain may exist"
@@ -157,9 +159,7 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
     problem, plant = well_posed(plant), plant.unmeasured
     own = own_units(plant)
     if not problem.regular:
-        from synth.design.degenerate import check_marginal_modes
-
-        check_marginal_modes(plant, problem.plant, states)
+        FEATURES.load("degenerate plants").check_marginal_modes(plant, problem.plant, states)
     try:
         return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem.plant))]
     except NoSolutionError as error:
@@ -169,13 +169,11 @@ def state_path(plant: Plant, states: Sequence[str] = ()) -> list[CentralPoint]:
             raise InfeasibleError(reasons) from error
         raise
     except DesignError as error:
-        from synth.design.degenerate import unpenalised_inputs
-
-        raise type(error)("; ".join(unpenalised_inputs(plant)) or str(error)) from error
+        raise type(error)("; ".join(FEATURES.load("degenerate plants").unpenalised_inputs(plant)) or str(error)) from error
 
 
 @numerics()
-def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> DesignResult:
+def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: KnownBound = None) -> DesignResult:
     """Returns the state feedback, the optimum of (22).
 
     Args:
@@ -193,7 +191,7 @@ def state_design(plant: Plant, path: Sequence[CentralPoint] = (), lower_bound: L
     return replace(last_certified_gain(measured, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> DesignResult:
+def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound: KnownBound = None) -> DesignResult:
     """Returns the gain furthest along a central path whose certificate holds and whose loop is not too fast for actuators.
 
     If all certified loops are too fast, as for a plant that hardly moves by itself, the slowest of these loops is the reference
@@ -209,7 +207,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
         X = point.X if point.proof is None else point.proof
         # y = C_y x (4), u = K y (5), G = K C_y (6); the norm of the certificate is that of (27), by two routes.
         certificate = certify(plant, Feedback(point.K, plant.Cy), X, point.eta, lower_bound)
-        if not certificate.failures:
+        if not certificate.loop_failures:
             before = path[max(i - 1, 0)].K
             moved = float(np.abs(point.K - before).max(initial=0.0) / (np.abs(point.K).max(initial=0.0) or 1.0))
             design = _result(point.K, certificate, optimum_gap=point.gamma / path[-1].gamma - 1, moved=moved)
@@ -228,7 +226,7 @@ def last_certified_gain(plant: Plant, path: Sequence[CentralPoint], lower_bound:
     another = certify_tightly(plant, Feedback(path[-1].K, plant.Cy), lower_bound)
     if another.bound is not None and not another.failures:
         return _result(path[-1].K, another)
-    raise DesignError(f"its certificate fails: {'; '.join(first.failures)}")
+    raise DesignError(f"its certificate fails: {'; '.join(first.loop_failures)}")
 
 
 @numerics()
@@ -236,7 +234,7 @@ def two_step_design(
     plant: Plant,
     Cy: Array | None = None,
     path: Sequence[CentralPoint] = (),
-    lower_bound: LowerBound | None = None,
+    lower_bound: KnownBound = None,
     states: Sequence[str] = (),
 ) -> DesignResult:
     """Returns the static gain of the paper's two steps, with its certificate: L (14) from the X of (22), then (25).
@@ -309,7 +307,7 @@ def two_step_design(
 
 
 @numerics()
-def zero_l_design(plant: Plant, lower_bound: LowerBound | None = None) -> DesignResult:
+def zero_l_design(plant: Plant, lower_bound: KnownBound = None) -> DesignResult:
     """Returns the static gain of (25) with L = 0, in one step (remark 4).
 
     Raises:

@@ -20,6 +20,7 @@ the step falls, this path tends to that of the continuous plant.
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
@@ -27,14 +28,18 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.certificate import bounded_real_matrix
 from synth.lmi.barrier import Barrier, Derivatives, Factored, WithLogTerm, boundary, newton
-from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
-from synth.lmi.unobservable import UnobservableReduction, remove_unobservable
+from synth.lmi.output_nulling import hides_stable_states
+from synth.lmi.unknowns import Basis, direction
 from synth.plant.generalized import Plant, check_posed, fed_back
 from synth.plant.numerics import DesignError, NoSolutionError, TooLargeError
 from synth.plant.units import reachable, size
+
+if TYPE_CHECKING:
+    from synth.lmi.unobservable import UnobservableReduction
 
 LIMIT = 1e-9
 """Value of mu / eta at which the path ends: for the paper's problem, gains are within 3e-6 of the limit."""
@@ -130,7 +135,9 @@ def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) ->
     check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
-    part = remove_unobservable(plant, Q, R, step)
+    part = None
+    if hides_stable_states(plant, np.hstack([Q, R]), step):
+        part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
     if part is not None:  # X may grow there without bound: the path is that of the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
@@ -156,7 +163,7 @@ def _border(step: float) -> str:
     return "unit circle" if step else "imaginary axis"
 
 
-def _put_back(part: UnobservableReduction, point: CentralPoint) -> CentralPoint:
+def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoint:
     """Returns a point of the path without the unobservable states as a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
@@ -337,14 +344,14 @@ class _Path:
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
         if basis.size > DENSE:
-            return self._structured(path_constraints(self.plant))
+            return FEATURES.load("large plants").path_barrier(self.plant, self.free)
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
         """Returns the barrier of the search for a feasible point, in which the last unknown is s."""
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
-            return self._structured(start_constraints(self.plant, LARGEST_Y))
+            return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)
         without_z = np.r_[:n, len(basis.system) : len(basis.F0)]
         lyapunov = np.ascontiguousarray(basis.F[:, without_z[:, None], without_z])
         lyapunov[-1] = 0.0
@@ -359,9 +366,6 @@ class _Path:
                 (LARGEST_Y * np.eye(m + n), box),
             ]
         )
-
-    def _structured(self, constraints: list[Constraint]) -> StructuredBarrier:
-        return StructuredBarrier(constraints, self.basis.n, self.basis.m, self.free)
 
     def point(self, X: Array, Y: Array, rest: float) -> CentralPoint:
         """Returns a pair in the current coordinates as a point in the user's coordinates and units."""

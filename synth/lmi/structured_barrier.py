@@ -17,126 +17,14 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from synth.lmi.barrier import Factored
+from synth.lmi.unknowns import places
 from synth.plant.generalized import Plant
-
-
-class Basis:
-    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates where (12) is block diagonal.
-
-    For one plant, or for a stack of plants of the same shape along leading axes (...).
-
-    Args:
-        system: matrices [A B Bw; C D Dw], shape (..., k, n + m + r).
-        n, m, free: number of states, of inputs, and of columns of Q.
-        step: sample period of a discrete plant [s]; 0 for a continuous one.
-
-    Attributes:
-        places: rows and columns in [X; Y] of all unknowns but the last, those of X above its diagonal, shapes (N - 1,).
-        size: N.
-    """
-
-    def __init__(self, system: Array, n: int, m: int, free: int, step: float) -> None:
-        self.system, self.n, self.m, self.free, self.step = system, n, m, free, step
-        self.places = places(n, m, free)
-        self.size = len(self.places[0]) + 1
-        k = system.shape[-2]
-        bordered = k + n if step else k
-        self.F0 = np.zeros((bordered, bordered))
-        self.F0[n:k, n:k] = -np.eye(k - n)
-
-    @classmethod
-    def of(cls, plant: Plant, free: int, step: float = 0.0) -> "Basis":
-        """Returns the basis of one plant."""
-        n, m = plant.B.shape
-        return cls(plant.system_matrix, n, m, free, step)
-
-    @property
-    def plant(self) -> Plant:
-        """The plant, if there is only one."""
-        n, m = self.n, self.n + self.m
-        top, low = self.system[:n], self.system[n:]
-        return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
-
-    @property
-    def X(self) -> Array:
-        """Coefficients of the unknowns in X, shape (N, n, n)."""
-        return _units(self.n, self.m, self.free)[0]
-
-    @property
-    def Y(self) -> Array:
-        """Coefficients of the unknowns in Y, shape (N, m, n)."""
-        return _units(self.n, self.m, self.free)[1]
-
-    @functools.cached_property
-    def F(self) -> Array:
-        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k + n with a step, see (21)."""
-        n, m, k = self.n, self.m, self.system.shape[-2]
-        # [A B; C D] [X; Y] for every unknown: the left columns of (24); transposed, its upper rows.
-        left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
-        F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
-        F[..., :k, :n] = left
-        F[..., :n, :k] += left.swapaxes(-1, -2)
-        disturbance = self.system[..., n + m :]
-        F[..., -1, :k, :k] = disturbance @ disturbance.swapaxes(-1, -2)
-        if self.step:
-            F[..., :k, k:] = self.step**0.5 * left
-            F[..., k:, :k] = self.step**0.5 * left.swapaxes(-1, -2)
-            F[..., k:, k:] = -self.X
-        return F
-
-    def pack(self, X: Array, Y: Array, last: float) -> Array:
-        """Returns the unknowns of X, Y and the last."""
-        return np.append(np.concatenate([X, Y])[self.places], last)
-
-    def unpack(self, p: Array) -> tuple[Array, Array, Any]:
-        """Returns X, Y and the last unknown, for p of shape (..., N)."""
-        rows, columns = self.places
-        unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
-        unknown[..., rows, columns] = p[..., :-1]
-        of_x = rows < self.n
-        unknown[..., columns[of_x], rows[of_x]] = p[..., :-1][..., of_x]
-        return unknown[..., : self.n, :], unknown[..., self.n :, :], p.T[-1]
-
-
-@functools.cache
-def places(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns the positions in [X; Y] of all unknowns but eta: X_Q and X_R above the diagonal, then Y_R, by rows."""
-    rows, columns = np.triu_indices(n)
-    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
-    index, q = np.arange(m * (n - free)), max(n - free, 1)
-    places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
-    for each in places:
-        each.flags.writeable = False  # all paths of this size share them
-    return places
-
-
-@functools.cache
-def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns the coefficients of the unknowns in X and in Y."""
-    rows, columns = places(n, m, free)
-    units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
-    units[index, rows, columns] = 1
-    of_x = rows < n
-    units[index[of_x], columns[of_x], rows[of_x]] = 1
-    X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
-    for each in (X, Y):
-        each.flags.writeable = False  # all paths of this size share them
-    return X, Y
-
-
-def direction(size: int, value: float) -> Array:
-    """Returns a vector of zeros with a value for the last unknown, eta, shape (size,)."""
-    c = np.zeros(size)
-    c[-1] = value
-    return c
-
 
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and carries no stubs.
@@ -186,6 +74,16 @@ def start_constraints(plant: Plant, largest: float) -> list[Constraint]:
     lyapunov = Constraint(np.zeros((n, n)), -plant.system_matrix[:n, : n + m], np.eye(n), np.eye(n))
     box = Constraint(largest * np.eye(m + n), np.eye(m + n, n + m, k=n), np.eye(m + n, n, k=-m), np.zeros((m + n, m + n)))
     return [lyapunov, _definite(n, m, 1.0), _definite(n, m, -1.0), box]
+
+
+def path_barrier(plant: Plant, free: int) -> "StructuredBarrier":
+    """Returns the barrier of (24) and X > 0."""
+    return StructuredBarrier(path_constraints(plant), *plant.B.shape, free)
+
+
+def start_barrier(plant: Plant, free: int, largest: float) -> "StructuredBarrier":
+    """Returns the barrier of the search for a feasible point; `largest` bounds |Y|."""
+    return StructuredBarrier(start_constraints(plant, largest), *plant.B.shape, free)
 
 
 def _definite(n: int, m: int, sign: float) -> Constraint:

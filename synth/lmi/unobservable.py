@@ -9,7 +9,6 @@ In (25) X and Y must satisfy (12). So in the coordinates of [Q R] the removed sp
 and a part in R.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +16,10 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.certificate import bounded_real_matrix
-from synth.analysis.stability import balance
+from synth.lmi.output_nulling import RANK, complement, in_balanced_coordinates, output_nulling_gains, output_nulling_subspace
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
-RANK = 1e-9  # relative; a smaller singular value counts as zero
 ROUNDING = 1e-15  # relative; rounding of a zero by a few rotations
 UNDRIVEN = 1e-6  # variance of a state that nothing drives, relative to the mean of the others
 
@@ -100,12 +98,11 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
     """
     a = Q.shape[1]
     T = np.hstack([Q, R])
-    lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)  # ranks are decided in balanced coordinates
-    moved = plant.in_coordinates(T / lengths)
+    moved, lengths = in_balanced_coordinates(plant, T)
     for F in output_nulling_gains(moved):
         V = output_nulling_subspace(moved, F, step)[0]
         in_q, in_r = _structured(moved, F, V, a)
-        out_q, out_r = _complement(in_q[:a]), _complement(in_r[a:])
+        out_q, out_r = complement(in_q[:a]), complement(in_r[a:])
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
@@ -124,50 +121,6 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
         narrow, F_k = out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
         return UnobservableReduction(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
     return None
-
-
-def output_nulling_gains(plant: Plant) -> Iterator[Array]:
-    """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
-    yield np.zeros_like(plant.B.T)
-    W = plant.independent_inputs()
-    D = plant.D @ W
-    if D.shape[1] and np.any(D) and np.linalg.matrix_rank(D, RANK * np.linalg.norm(D)) == D.shape[1]:
-        F = -W @ np.linalg.pinv(D) @ plant.C
-        if np.linalg.norm(plant.D @ F) > RANK * np.linalg.norm(plant.C):
-            yield F
-
-
-def sees_every_state(plant: Plant) -> bool:
-    """Returns True if neither without control nor under the gain -D^+ C a state is unobservable in z."""
-    return not any(output_nulling_subspace(plant, F)[1].shape[1] for F in output_nulling_gains(plant))
-
-
-def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
-    n = len(plant.A)
-    loop = plant.closed_loop(F) if F.any() else plant
-    terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
-    lengths = np.linalg.norm(loop.C, axis=1)
-    counts = lengths > RANK * terms
-    rows, size = loop.C[counts] / lengths[counts, None], float(np.linalg.norm(loop.A))
-    observable = np.zeros((0, n))
-    while len(rows) and len(observable) < n:
-        _, sizes, directions = np.linalg.svd(np.vstack([observable, rows]))
-        observable = directions[: int(np.sum(sizes > RANK))]
-        rows = observable @ loop.A
-        rows = rows - rows @ observable.T @ observable
-        lengths = np.linalg.norm(rows, axis=1)
-        rows = rows[lengths > RANK * size] / size
-    V = _complement(observable.T)
-    if not V.shape[1]:
-        return V, V
-    slow = RANK * size  # a slower mode does not decay, to rounding
-
-    def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
-        return real + step * (real**2 + imaginary**2) / 2 < -slow
-
-    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]
-    return V @ vectors[:, :count], V
 
 
 def _structured(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
@@ -201,8 +154,3 @@ def _dual_basis(out: Array, T: Array) -> Array:
     _, low = np.linalg.qr(T)
     across = np.linalg.solve(low, np.linalg.solve(low.T, out))
     return across @ np.linalg.inv(out.T @ across)
-
-
-def _complement(V: Array) -> Array:
-    """Returns an orthonormal basis of the complement of the orthonormal columns of V, shape (n, n - k)."""
-    return np.linalg.svd(V.T)[2][V.shape[1] :].T

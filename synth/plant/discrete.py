@@ -19,7 +19,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from synth.plant.double_double import added, multiplied, product
+from synth.plant.double_double import LEFT, MOST_TURNS, added, multiplied, product
 from synth.plant.generalized import Plant
 
 LOST = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
@@ -128,10 +128,6 @@ def _reach(plant: Plant) -> Array:
         reach = np.where(reach > 0, reach, np.abs(plant.Cy) @ spread)
         spread = np.abs(plant.A) @ spread
     return np.where(reach > 0, reach, 1.0)
-
-
-LEFT = 1e-14  # relative; an iteration that moves by less has converged
-MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 
 def response_closely(system: Plant, t: float) -> tuple[Array, float]:

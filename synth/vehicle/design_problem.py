@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.common.printed import digits
-from models.laws.combinations import FULL
-from models.laws.design_methods import PREVIEW
+from models.laws.design_methods import FULL, PREVIEW
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, road_twist_inputs
 from synth.design.problem import H2_NORM, MU, DesignProblem, DesignResult
@@ -23,6 +22,7 @@ from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
+    from synth.analysis.lower_bound import LowerBound
 
 STATE_ALONE = (
     "states of filters are not measured: this static gain uses the states of the vehicle only and is designed as an output "
@@ -30,7 +30,7 @@ STATE_ALONE = (
 )
 
 
-def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> DesignProblem:
+def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound") -> DesignProblem:
     """Returns the design problem of a section, without goals.
 
     Args:
@@ -60,23 +60,24 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     if not (request.two_steps or by_force or request.sampled):  # a sampled loop has the readings as they are
         problem = replace(problem, as_run=partial(on_readings, posed=posed))
     if request.sampled:
-        from synth.controller.implementation_norm import held_problem
-
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
         near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
-        return replace(problem, sampled=held_problem(vehicle, entry), near=near, states=states, certify=certify)
+        return replace(
+            problem,
+            sampled=FEATURES.load("norm as implemented").held_problem(vehicle, entry),
+            near=near,
+            states=states,
+            certify=certify,
+        )
     if entry.errors is not None:
-        from synth.vehicle.weighted_errors import is_robust_design, structured_plant
-
-        if is_robust_design(entry):
+        weighted_errors = FEATURES.load("weighted errors")
+        if weighted_errors.is_robust_design(entry):
             ideal = certify_ideal_loop(posed, lower_bound)
-            errors, as_run = structured_plant(vehicle, entry, entry.errors), problem.as_run
+            errors, as_run = weighted_errors.structured_plant(vehicle, entry, entry.errors), problem.as_run
             return replace(problem, errors=errors, certify=lambda law: ideal(as_run(law)))
     if request.design == PREVIEW:
-        from synth.design.full_order.quadratic import state_rows
-
         try:
-            state_rows(problem.plant)
+            FEATURES.load("H2 designs").state_rows(problem.plant)
         except DesignError:
             raise InputError(
                 f"controller {entry.name!r}: a preview needs a measured state, and no sensor measures the states of filters in "
@@ -85,7 +86,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     return problem
 
 
-def certify_ideal_loop(posed: Problem, lower_bound: LowerBound) -> Callable[[LinearLaw], Certificate]:
+def certify_ideal_loop(posed: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies the ideal loop of a law on the readings."""
     from synth.analysis.bounding import certify_tightly
 
@@ -148,9 +149,8 @@ def controller_of(
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
     """Returns a sentence on the H2 norm that a design for the least mean square minimises."""
-    from synth.design.full_order.quadratic import AT_ONCE
 
-    at_once = AT_ONCE if np.any(problem.plant.Dw) else ""
+    at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
     of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
     if problem.design == PREVIEW:
         return (
@@ -169,9 +169,8 @@ def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
 
     The height of a road's twist is a disturbance in addition to the road's velocity (`generalized_plant`). It is known, too.
     """
-    from models.laws.preview import RoadPreview
 
     model = vehicle.linear_model
     r = len(model.disturbances)
     heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
-    return RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)
+    return FEATURES.load("preview").RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C)

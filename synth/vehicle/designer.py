@@ -5,19 +5,19 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, validated
 from models.common.errors import InputError
+from models.common.extensions import FEATURES
 from models.laws.combinations import check_command, goes
-from models.laws.law_structure import DesignRequest
+from models.laws.design_request import DesignRequest
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.certificate import Certificate, LaterBound
 from synth.controller.controller import AnyController, Controller, certify_law, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, instability_cured_by_sampling, norm_if_implemented
@@ -25,12 +25,12 @@ from synth.design.methods import design as design_for
 from synth.design.problem import DesignProblem, Progress, quiet
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint
-from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 from synth.vehicle.design_problem import controller_of, design_problem
 
 if TYPE_CHECKING:
+    from synth.analysis.lower_bound import LowerBound, SampledBound
     from synth.vehicle.refined import RefinedController
 
 
@@ -56,9 +56,9 @@ class SharedDesignData:
         return state_path(self.plant, self.states)
 
     @cached_property
-    def beyond_control(self) -> LowerBound:
+    def beyond_control(self) -> "LowerBound":
         """Lower bound from the invariant point, which holds for any measurements without noise."""
-        return bound_beyond_control(self.plant)
+        return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
         """Returns the design problem of a controller that measures these signals with that noise.
@@ -68,7 +68,7 @@ class SharedDesignData:
         """
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
-    def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> "LowerBound":
         """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback.
 
         For heights over the datum, it is the bound of any measurements.
@@ -83,7 +83,9 @@ class SharedDesignData:
                 path = self.state_path
             except DesignError:  # what cannot be designed may be checked
                 path = []
-            self._bounds[key] = find_lower_bound(plant.unmeasured if everything else plant, None, path, self.beyond_control)
+            self._bounds[key] = FEATURES.load("lower bounds").find_lower_bound(
+                plant.unmeasured if everything else plant, None, path, self.beyond_control
+            )
         return self._bounds[key]
 
 
@@ -127,7 +129,7 @@ class Designer:
         return self.state_path[-1]
 
     @property
-    def beyond_control(self) -> LowerBound:
+    def beyond_control(self) -> "LowerBound":
         """Lower bound from the invariant point, which holds for any measurements."""
         return self.shared().beyond_control
 
@@ -135,25 +137,27 @@ class Designer:
         """Returns the problem that a controller with these measured signals is designed for and judged with."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
-    def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
         """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
-    def sampled_bound(self, controller: Controller) -> SampledBound | None:
+    def _later_bound(self, entry: ControllerEntry) -> Any:
+        return LaterBound(lambda: self.lower_bound(entry.measured, entry.hardware))
+
+    def sampled_bound(self, controller: Controller) -> "SampledBound | None":
         """Returns the lower bound of the sampled loop, for any controller with the measurements of one designed for it.
 
         None for other controllers, or if none is proved.
         """
         return self._sampled_bound(self._entry(controller.name)) if controller.sampled else None
 
-    def _sampled_bound(self, entry: ControllerEntry) -> SampledBound | None:
+    def _sampled_bound(self, entry: ControllerEntry) -> "SampledBound | None":
         key = entry.measured, entry.hardware.noise
         if key not in self._sampled_bounds:
-            from synth.controller.implementation_norm import held_problem
-            from synth.lmi.sampled_bound import find_sampled_bound
-
             near = self.lower_bound(entry.measured, entry.hardware).gamma or 1.0
-            self._sampled_bounds[key] = find_sampled_bound(held_problem(self.vehicle, entry), near)
+            self._sampled_bounds[key] = FEATURES.load("bounds of sampled loops").find_sampled_bound(
+                FEATURES.load("norm as implemented").held_problem(self.vehicle, entry), near
+            )
         return self._sampled_bounds[key]
 
     @validated
@@ -184,9 +188,8 @@ class Designer:
         errors = self._entry(controller.name).errors
         if errors is None:
             return controller
-        from synth.vehicle.weighted_errors import with_robustness
 
-        return with_robustness(self.vehicle, controller, errors)
+        return FEATURES.load("weighted errors").with_robustness(self.vehicle, controller, errors)
 
     def _design(self, name: str, zero_l: bool, on_progress: Progress) -> Controller:
         """Designs a controller, or certifies a given one; see `design`."""
@@ -197,17 +200,17 @@ class Designer:
             check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
         posed = self.problem(entry.measured, entry.hardware)
         try:
-            lower_bound = self.lower_bound(entry.measured, entry.hardware)
+            lower_bound = self._later_bound(entry)
             if entry.goals is not None:
-                from synth.vehicle.multi_objective import goals_design
-
-                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
+                return FEATURES.load("goals").goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
             problem = self.design_problem(entry, posed, lower_bound, "zero_l" if zero_l else "")
             return controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
-    def design_problem(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, method: str = "") -> DesignProblem:
+    def design_problem(
+        self, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound", method: str = ""
+    ) -> DesignProblem:
         """Returns the design problem of a section without goals.
 
         Args:
@@ -248,28 +251,27 @@ class Designer:
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
         try:
-            certificate, wrong = certify_law(posed, entry, self.lower_bound(entry.measured, hardware))
+            certificate, wrong = certify_law(posed, entry, self._later_bound(entry))
         except InputError as error:
             raise self.vehicle.located(error) from error
         controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
         if entry.goals is not None:
-            from synth.vehicle.multi_objective import verify_specifications
-
             controller = replace(
-                controller, specifications=verify_specifications(self.vehicle, entry, entry.goals, law, self.search)
+                controller,
+                specifications=FEATURES.load("goals").verify_specifications(self.vehicle, entry, entry.goals, law, self.search),
             )
         if entry.certificate:
-            from synth.controller.implementation_norm import false_sampled_bound
-
-            wrong += false_sampled_bound(self.vehicle, entry)
+            wrong += FEATURES.load("norm as implemented").false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
         if wrong and not certificate.stable:  # sampling may cure it
             cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
             wrong = tuple(each for each in wrong if each not in cured)
         if wrong:
-            from synth.vehicle.certified_vehicle import changed_since
-
-            wrong = (changed,) if (changed := changed_since(self.vehicle, entry)) else wrong
+            wrong = (
+                (changed,)
+                if (changed := FEATURES.load("changes since a certificate").changed_since(self.vehicle, entry))
+                else wrong
+            )
         return replace(controller, false_claims=wrong)
 
     @validated
@@ -282,7 +284,6 @@ class Designer:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
             DesignError: the gain does not stabilise the vehicle, or no start leads to a gain.
         """
-        from synth.vehicle.refined import refined
 
         entry = self._entry(name)
         measured = entry.measured
@@ -298,7 +299,7 @@ class Designer:
         posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
         if entry.request.sampled and start is None:
             self.design(name)  # raises the reason
-        return refined(self.vehicle, entry, posed, start, lower_bound)
+        return FEATURES.load("refinement").refined(self.vehicle, entry, posed, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""
@@ -311,9 +312,8 @@ class Designer:
             or not controller.certificate.stable
         ):
             return 0.0
-        from synth.vehicle.refined import worth
 
-        return worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
+        return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """Recomputes the certificate of a law of the file from its proofs. Returns it with the claims that fail, in words.

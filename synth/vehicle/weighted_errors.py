@@ -11,11 +11,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import digits
 from models.kinds.linear_model import LinearModel
-from models.laws.combinations import FULL
+from models.laws.design_methods import FULL
 from models.laws.filter import Filter
+from models.laws.weighted_errors import WeightedErrors
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from models.vehicle.weighted_errors import WeightedErrors
 from synth.analysis.specification import FREQUENCY, ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification
 from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, plant_states, problem

@@ -1,5 +1,6 @@
 """The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
 
+import ast
 import graphlib
 import importlib
 import inspect
@@ -12,6 +13,7 @@ import pytest
 import models
 import sim
 import synth
+from models.common.extensions import FEATURES
 from tests.house import ceilings
 from tests.house.prose import Finding
 from tests.support.commands import ROOT
@@ -45,8 +47,8 @@ ROOMS = {
     "synth": "",
     "synth.plant": "models.laws",
     "synth.analysis": "models.document models.laws synth.plant",
-    "synth.controller": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
-    "synth.plant synth.analysis",
+    "synth.controller": "models models.document models.laws models.characteristics models.kinds models.vehicle synth.plant "
+    "synth.analysis",
     "synth.lmi": "synth.plant synth.analysis",
     "synth.design": "models.document models.laws synth.plant synth.analysis synth.lmi",
     "synth.vehicle": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
@@ -63,8 +65,7 @@ ROOMS = {
     "synth.controller sim.drive sim.linear",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers",
-    "sim.recording": "models.document models.kinds models.vehicle models.roads synth.analysis synth.controller "
-    "sim.drive sim.linear sim.observers sim.runs",
+    "sim.recording": "models.document models.kinds models.vehicle models.roads synth.controller sim.drive sim.observers sim.runs",
     "sim.studies": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
     "synth.plant synth.analysis synth.controller synth.design synth.vehicle sim.drive sim.linear sim.observers sim.runs",
     "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
@@ -102,6 +103,38 @@ REACHES = {
     "models.vehicle synth.analysis synth.controller synth.plant sim.drive sim.linear sim.observers sim.recording sim.runs "
     "sim.studies",
 }
+
+# The core: the paper's two steps with their certificate, three cars, bump and random roads, one loop in MuJoCo, comparison and
+# logs. It imports itself alone, and knows all else by its name in `models.common.extensions`.
+CORE = {  # package -> its modules that are core
+    "models.characteristics": "stop_section",
+    "models.common": "arrays checks cli command errors extensions files lazy printed schema threads units",
+    "models.document": "document field figure outputs text",
+    "models": "full_car half_car quarter_car",
+    "models.kinds": "at_wheels car kind linear_model links plausibility rigid_body rigid_motion signals strut_and_tyre",
+    "models.laws": "combinations design_methods design_request filter law linear",
+    "models.parts": "part",
+    "models.roads": "iso8608 road spectrum",
+    "models.vehicle": "controllers limits_and_implementation mjcf names sections suspension_forces vehicle",
+    "sim": "bump",
+    "sim.command": "comparison driving road_options",
+    "sim.drive": "actuators case computer drive driver jumps loop recursion regime response sensor_readout",
+    "sim.drive.drivers": "linear registry",
+    "sim.linear": "linear_motion outputs rounding sampled_response",
+    "sim.observers": "commands energy recorder registry results steps",
+    "sim.recording": "files foxglove_layout foxglove_scene mcap_writer pages rerun_contents rerun_writer run_log run_records "
+    "scene",
+    "sim.runs": "agreement prediction report result run",
+    "sim.studies.ride.kinds": "standard",
+    "sim.studies.ride": "metrics registry standing weighting",
+    "synth.analysis": "bounding certificate norm rigorous specification stability",
+    "synth.controller": "controller disk_margin law_margins loop_of problem report",
+    "synth.design": "methods problem two_step",
+    "synth.lmi": "barrier central_path output_nulling unknowns",
+    "synth.plant": "augmented double_double generalized loop numerics state_space units",
+    "synth.vehicle": "design_problem designer",
+}
+MOST_CORE = 28_100  # lines of the core
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
@@ -293,6 +326,50 @@ def test_few_rooms(package):
     assert sum(map(len, inner.values())) <= MOST_ARROWS[package]
 
 
+def core_modules() -> set[str]:
+    """Returns the modules of the core."""
+    return {f"{package}.{name}" for package, names in CORE.items() for name in names.split()}
+
+
+def features_of(path: Path) -> list[str]:
+    """Returns the names of the features that a file loads."""
+    return re.findall(r'FEATURES\.load\("([^"]+)"\)', path.read_text(encoding="utf-8"))
+
+
+def imported_as_it_runs(path: Path) -> set[str]:
+    """Returns the modules of ours that a file imports at its top or in a function, without what only type checkers see."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes, found = [tree], set[str]()
+    while nodes:
+        node = nodes.pop()
+        nodes += [
+            one for one in ast.iter_child_nodes(node) if not (isinstance(one, ast.If) and "TYPE_CHECKING" in ast.dump(one.test))
+        ]
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{one.name}" for one in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {one.name for one in node.names}
+    return {module for name in found if (module := module_of(name))}
+
+
+def test_the_core_imports_itself_alone():
+    """No module of the core imports an extension, at its top or where it is used, and the core has no more lines than allowed."""
+    core = core_modules()
+    knots = {
+        (module, other)
+        for module in core
+        for other in imported_as_it_runs(MODULES[module]) - core
+        if MODULES[other].name != "__init__.py"
+    }
+    assert not knots, "name these in EXTENSIONS, and load them by their names"
+    assert sum(MODULES[module].read_bytes().count(b"\n") for module in core) <= MOST_CORE
+
+
+def test_features_have_rows():
+    """Each feature that a module loads is in the table, and each one in the table is loaded by some module."""
+    assert {name for path in FILES for name in features_of(path)} == {*FEATURES}
+
+
 def test_few_files():
     """No folder holds more files than one overlooks."""
     for folder in {path.parent for path in FILES}:
@@ -326,6 +403,7 @@ def test_checked_without_the_solver(start):
         if module not in seen:
             seen.add(module)
             ways += [other for name in imported(MODULES[module]) if (other := module_of(name))]
+            ways += [FEATURES[name] for name in features_of(MODULES[module])]
     rooms = {start, *REACHES[start].split()}
     assert not {module for module in seen if not ({module, room_of(module)} & rooms or is_door(room_of(module)))}
     assert not {module for module in seen if MODULES[module].relative_to(ROOT).as_posix() in OWNERS["cvxpy"]}

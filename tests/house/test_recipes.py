@@ -10,7 +10,16 @@ import pytest
 
 from tests.support.pages import ROOT, page, sections
 
+EXTENSIONS = "models/common/extensions.py"
 MARK = "\n\n# By their names on a command line"
+
+
+def register(root, sort, row):
+    """Writes a row of a recipe into the table of extensions of a copy, as the first one of its sort."""
+    path = root / EXTENSIONS
+    source, count = re.subn(rf'(?m)^(    "{sort}": {{.*\n)', rf"\1{row}", path.read_text(encoding="utf-8"))
+    assert count == 1
+    path.write_text(source, encoding="utf-8", newline="\n")
 
 
 @pytest.mark.attack  # six processes in a copy that has to be compiled
@@ -130,9 +139,7 @@ def test_add_a_force_element(tmp_path):
     for folder in ("models", "synth", "sim", "tests", "docs"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
     (tmp_path / "models" / "parts" / "elements" / "cubic_damper.py").write_text(file, encoding="utf-8")
-    path = tmp_path / "models" / "parts" / "registry.py"
-    source = path.read_text(encoding="utf-8")
-    path.write_text(source.replace("PARTS = {", f"PARTS = {{\n{line}", 1), encoding="utf-8", newline="\n")
+    register(tmp_path, "part", line)
     code = """if True:
         from docs.generate import key_sections
         from models import Bump, parse_vehicle, read_vehicle
@@ -173,9 +180,7 @@ def test_add_a_method_of_design(tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
     minimising = file.replace('of stability")', 'of stability", value=1.0, criterion="H2 norm")')
     (tmp_path / "synth" / "design" / "shifted_h2.py").write_text(minimising, encoding="utf-8")
-    path = tmp_path / "models" / "laws" / "design_methods.py"
-    source = path.read_text(encoding="utf-8")
-    path.write_text(source.replace("METHODS = {", f"METHODS = {{\n{line}", 1), encoding="utf-8", newline="\n")
+    register(tmp_path, "design method", line)
     code = """if True:
         from models import Bump, parse_vehicle, read_vehicle
         from models.common.errors import InputError
@@ -223,15 +228,13 @@ def test_add_a_driver_and_an_observer(tmp_path):
     found = {each.heading: each.blocks("python") for each in sections(".github/CONTRIBUTING.md")}
     for folder in ("models", "synth", "sim"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    for heading, place, registry, table in (
-        ("Add a driver", "sim/drive/drivers/relay.py", "sim/drive/drivers/registry.py", "DRIVERS"),
-        ("Add an observer", "sim/observers/peaks.py", "sim/observers/registry.py", "OBSERVERS"),
+    for heading, place, sort in (
+        ("Add a driver", "sim/drive/drivers/relay.py", "driver"),
+        ("Add an observer", "sim/observers/peaks.py", "observer"),
     ):
-        file, line = found[heading]
+        file, row = found[heading]
         (tmp_path / place).write_text(file, encoding="utf-8")
-        source, count = re.subn(rf"(?m)^({table} = {{.*\n)", rf"\1{line}", (tmp_path / registry).read_text(encoding="utf-8"))
-        assert count == 1
-        (tmp_path / registry).write_text(source, encoding="utf-8", newline="\n")
+        register(tmp_path, sort, row)
     code = """if True:
         import numpy as np
         from models import Bump, parse_vehicle, read_vehicle
@@ -310,9 +313,7 @@ def test_add_a_metric(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     subprocess.run([sys.executable, *before], cwd=tmp_path, env=environment, capture_output=True, check=True)
     (tmp_path / "sim" / "studies" / "ride" / "kinds" / "dose_per_km.py").write_text(file, encoding="utf-8")
-    path = tmp_path / "sim" / "studies" / "ride" / "registry.py"
-    source = path.read_text(encoding="utf-8")
-    path.write_text(source.replace('    "mtvv"', f'{line}    "mtvv"', 1), encoding="utf-8", newline="\n")
+    register(tmp_path, "metric", line)
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert run.stdout.splitlines() == [
         "True",

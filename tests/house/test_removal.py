@@ -8,23 +8,17 @@ import sys
 
 import pytest
 
-from models.laws.design_methods import METHODS
-from models.parts.registry import PARTS
-from sim.drive.drivers.registry import DRIVERS
-from sim.observers.registry import OBSERVERS
-from sim.studies.ride.registry import METRICS
+from models.common.extensions import EXTENSIONS, METRICS
+from tests.house.test_architecture import MODULES, core_modules
 from tests.support.commands import ROOT, in_the_suite
 from tests.support.sources import sources
 
-REGISTRIES = {
-    "models/parts/registry.py": PARTS,
-    "sim/drive/drivers/registry.py": DRIVERS,
-    "sim/observers/registry.py": OBSERVERS,
-    "models/laws/design_methods.py": METHODS,
-}
+TABLE = "models/common/extensions.py"
+TOGETHER = {"metric"}  # sorts whose names stand in one module: a class is taken away, not the module
+USED = {"design method", "feature"}  # sorts some of whose modules are used by others, too
 BUMP = 'from sim.bump import main; sys.exit(main("--controller passive --duration 0.2 --no-logs".split()))', "agrees"
 USE = {  # what works without a module, and prints; the passive vehicle, which each command drives, has a linear law
-    "models/laws/design_methods.py": ('from synth.__main__ import main; sys.exit(main(["--controller", "I"]))', "7.843188"),
+    "design method": ('from synth.__main__ import main; sys.exit(main(["--controller", "I"]))', "7.843188"),
     "sim.drive.drivers.linear": (
         "from models import Bump, read_vehicle\nfrom sim import run\n"
         "print(*run(read_vehicle('quarter_car'), lambda y, state: (-2e3 * y['sprung_velocity'], state), Bump(0.05), 0.2))",
@@ -46,13 +40,16 @@ def users(module: str) -> list[str]:
 
 
 def removable() -> dict[str, tuple[str, list[str]]]:
-    """Each module that only a registry names, with the file of its registry and its names there."""
-    every = [(file, where.partition(":")[0], name) for file, each in REGISTRIES.items() for name, where in each.items()]
-    alone = {module: file for file, module, _ in every if not set(users(module)) - {"synth/__init__.py"}}
-    return {module: (file, [name for _, other, name in every if other == module]) for module, file in alone.items()}
+    """Each module that only the table of extensions names, with its sort and its names there."""
+    every = [(sort, *row) for sort, rows in EXTENSIONS.items() if sort not in TOGETHER for row in rows.items()]
+    modules = {where.partition(":")[0]: sort for sort, _, where in every}
+    alone = {module: sort for module, sort in modules.items() if not set(users(module)) - {"synth/__init__.py"}}
+    return {
+        module: (sort, [name for _, name, where in every if where.startswith(f"{module}:")]) for module, sort in alone.items()
+    }
 
 
-SAMPLES = [next(module for module, (of, _) in removable().items() if of == file) for file in REGISTRIES]
+SAMPLES = [next(module for module, (of, _) in removable().items() if of == sort) for sort in EXTENSIONS if sort not in TOGETHER]
 
 
 @pytest.mark.parametrize("module", in_the_suite(SAMPLES, removable()))
@@ -60,14 +57,14 @@ def test_all_else_works_without_it(module, tmp_path):
     """In a copy without a file and its lines every module is imported, and a car runs over a bump, or is designed for."""
     for folder in ("models", "synth", "sim"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    file, names = removable()[module]
+    sort, names = removable()[module]
     (tmp_path / f"{module.replace('.', '/')}.py").unlink()
-    text = (tmp_path / file).read_text(encoding="utf-8")
+    text = (tmp_path / TABLE).read_text(encoding="utf-8")
     for name in names:
-        text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", text)
+        text, count = re.subn(rf'(?m)^        "{name}": "{module}:.*\n', "", text)
         assert count == 1
-    (tmp_path / file).write_text(text, encoding="utf-8")
-    code, printed = USE.get(module, USE.get(file, BUMP))
+    (tmp_path / TABLE).write_text(text, encoding="utf-8")
+    code, printed = USE.get(module, USE.get(sort, BUMP))
     done = subprocess.run([sys.executable, "-c", CHECK + code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert printed in done.stdout
@@ -78,15 +75,29 @@ def test_methods_are_named_by_their_table():
     assert {name for _, names in removable().values() for name in names} >= {"descent", "refinement", "mu", "preview"}
 
 
-@pytest.mark.parametrize("file", [file for file, registry in REGISTRIES.items() if registry is not METHODS])
-def test_only_the_registry_names_a_module(file):
-    """No file imports a module of a registry, which alone names it."""
-    assert not [(path, where) for where in REGISTRIES[file].values() for path in users(where.partition(":")[0])]
+@pytest.mark.parametrize("sort", [sort for sort in EXTENSIONS if sort not in USED])
+def test_only_the_table_names_a_module(sort):
+    """No file imports a module of an extension, which the table alone names."""
+    assert not [(path, where) for where in EXTENSIONS[sort].values() for path in users(where.partition(":")[0])]
+
+
+def test_the_core_drives_without_any_extension(tmp_path):
+    """The files of the core alone design, drive and compare the paper's controller of three cars, with the table as it is."""
+    packages = {path.relative_to(ROOT) for path in MODULES.values() if path.name == "__init__.py"}
+    data = {path.relative_to(ROOT) for suffix in ("toml", "xml") for path in (ROOT / "models").glob(f"*.{suffix}")}
+    for path in {MODULES[name].relative_to(ROOT) for name in core_modules()} | packages | data:
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, tmp_path / path)
+    code = CHECK + "from sim.bump import main\nfor car in ('quarter_car', 'half_car', 'full_car'):\n"
+    code += "    assert not main(['--controller', 'II', '--vehicle', car, '--duration', '0.2', '--no-logs'])\n"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert done.stdout.count("MuJoCo agrees") == 3
 
 
 WITHOUT_METRIC = """
 import importlib, pathlib, sys
-from sim.studies.ride.registry import METRICS
+from models.common.extensions import METRICS
 assert sys.argv[1] not in METRICS
 for path in sorted(pathlib.Path("sim").rglob("*.py")):
     if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
@@ -112,10 +123,10 @@ def test_all_else_works_without_a_metric(name, tmp_path):
     """In a copy without a metric every module is imported, a full car is driven, and a campaign finds its best controller."""
     for folder in ("models", "synth", "sim"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    registry = tmp_path / "sim" / "studies" / "ride" / "registry.py"
-    text, count = re.subn(rf'(?m)^    "{name}": .*\n', "", registry.read_text(encoding="utf-8"))
+    table = tmp_path / TABLE
+    text, count = re.subn(rf'(?m)^        "{name}": f"{{_STANDARD}}.*\n', "", table.read_text(encoding="utf-8"))
     assert count == 1
-    registry.write_text(text, encoding="utf-8")
+    table.write_text(text, encoding="utf-8")
     module, _, named = METRICS[name].partition(":")
     file = tmp_path / f"{module.replace('.', '/')}.py"
     lines = file.read_text(encoding="utf-8").splitlines(keepends=True)

@@ -14,7 +14,7 @@ import pytest
 from docs import generate
 from models.common.errors import InputError
 from models.common.schema import keys
-from models.vehicle.controllers import ControllerSection
+from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection
 from models.vehicle.vehicle import SECTIONS
 from sim.__main__ import COMMANDS, VERBS

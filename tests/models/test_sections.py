@@ -10,12 +10,13 @@ import pytest
 from models.characteristics.adjustable_range import ActuatorSection
 from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.characteristics.ratio_table import RatioSection
-from models.characteristics.stops import StopSection
+from models.characteristics.stop_section import StopSection
 from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, Key, Listed, Section, keys, read, required
 from models.kinds.seat import Seat
+from models.laws.design_request import DesignRequest
 from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
-from models.laws.law_structure import DesignRequest, PidSection
+from models.laws.law_structure import PidSection
 from models.parts.element import PartSite, element_kinds
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
@@ -25,7 +26,7 @@ from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
 from models.roads.sinusoids import Multisine
-from models.vehicle.controllers import ControllerSection
+from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, Limits, LimitsSection
 from models.vehicle.payload import PayloadSection
 from models.vehicle.sections import WeightSection

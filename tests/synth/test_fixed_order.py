@@ -10,7 +10,8 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.laws.law_structure import LawStructure, pid_gains
+from models.laws.design_request import LawStructure
+from models.laws.law_structure import pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.margins import _check_loop

@@ -13,7 +13,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import read_vehicle, shipped
 from synth.analysis import stability
 from synth.design import degenerate
-from synth.design.methods import design, method_of
+from synth.design.methods import design
 from synth.design.problem import DesignProblem
 from synth.vehicle.designer import Designer
 from tests.support.commands import ROOT, in_the_suite
@@ -81,9 +81,9 @@ def test_no_shipped_car_is_degenerate(name, monkeypatch):
 def test_every_method_is_a_function_of_a_problem():
     """Each line of the table names a function of a problem and a callback; a name that is none gives the nearest in one line."""
     assert {*BY_OTHER_KEYS, *DESIGNS} == {*METHODS}
-    assert all(method_of(name).__code__.co_varnames[:2] == ("problem", "progress") for name in METHODS)
+    assert all(METHODS.load(name).__code__.co_varnames[:2] == ("problem", "progress") for name in METHODS)
     with pytest.raises(InputError, match="design method 'h_2' is not known; known are h2, "):
-        method_of("h_2")
+        METHODS.load("h_2")
 
 
 def test_a_static_problem_is_checked_for_stabilisability_once(monkeypatch):

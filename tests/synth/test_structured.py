@@ -10,7 +10,8 @@ from synth.lmi import structured_barrier as structured
 from synth.lmi.barrier import Barrier, Factored
 from synth.lmi.central_path import central_path
 from synth.lmi.stacked_barrier import StackedBarrier
-from synth.lmi.structured_barrier import Basis, StructuredBarrier, path_constraints, start_constraints
+from synth.lmi.structured_barrier import StructuredBarrier, path_constraints, start_constraints
+from synth.lmi.unknowns import Basis
 from synth.plant.generalized import GeneralizedPlant
 from tests.benchmarks.states import chain
 

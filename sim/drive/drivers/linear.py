@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import FEATURES
 from models.vehicle.limits_and_implementation import command_limiter, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.actuators import closing_names
@@ -43,16 +44,17 @@ class LinearDriver:
             self._gain[seen, i, :m], self._gain[seen, i, m:end] = law.D.T, law.B.T
             self._memory[i, :m, : law.states], self._memory[i, m:end, : law.states] = law.C, law.A
         if any(one.law.anti_windup is not None for one in self._controllers):
-            from models.laws.anti_windup import anti_windup_gain
-            from models.parts.damper_range import range_of
-
+            anti_windup_gain = FEATURES.load("anti-windup").anti_windup_gain
             gains = {key: anti_windup_gain(law) for key, law in laws.items()}
             self._windup = np.zeros((count, k, m))
             for i, one in enumerate(self._controllers):
                 gain = gains[id(one)]
                 self._windup[i, : len(gain)] = gain
             most = [vehicle.limits.actuator_force for vehicle in vehicles]
-            self._range, self._limiter = range_of(vehicles, most), command_limiter(vehicles, timestep)
+            self._range, self._limiter = (
+                FEATURES.load("damper ranges").range_of(vehicles, most),
+                command_limiter(vehicles, timestep),
+            )
             self._given = np.zeros((count, m))  # commands of the last sample, under a rate limit
             self.measured = (*self.measured, *closing_names(first))
         self.ahead = max(one.preview_samples(period) for one in self._controllers)

@@ -2,17 +2,8 @@
 
 from collections.abc import Sequence
 
-from models.common.errors import InputError
-from models.common.lazy import named
+from models.common.extensions import DRIVERS
 from sim.drive.driver import Driver, Failure, RunDriver
-
-DRIVERS = {  # name -> module and what makes the driver of (controllers, failures, numbers), see `driver_of`
-    "linear": "sim.drive.drivers.linear:LinearDriver",
-    "semi_active": "sim.drive.drivers.semi_active:SemiActiveDriver",
-    "python": "sim.drive.drivers.python:in_python",
-    "recorded": "sim.drive.drivers.recorded:RecordedDriver",
-    "code": "sim.drive.drivers.code:CodeDriver",
-}
 
 
 def driver_of(
@@ -31,7 +22,4 @@ def driver_of(
     Raises:
         InputError: no such driver is registered.
     """
-    name = name or controllers[0].driver_key[0]
-    if name not in DRIVERS:
-        raise InputError(f"no driver {name!r} runs this controller; known are {', '.join(DRIVERS)}")
-    return named(DRIVERS[name])(controllers, failures, numbers)
+    return DRIVERS.load(name or controllers[0].driver_key[0])(controllers, failures, numbers)

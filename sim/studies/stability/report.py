@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from models.common.printed import as_name, finite
-from models.document.document import NOTE, Document, Statement, Table, apart, notes
+from models.document.document import NOTE, Document, Pivot, Statement, Table, apart, notes
 from models.document.field import Field
-from models.document.reading import Pivot
 from models.document.text import names_text
 from models.parts.lines import lines_at_rest
 from models.vehicle.vehicle import Vehicle

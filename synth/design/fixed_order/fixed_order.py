@@ -21,8 +21,9 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError
-from models.laws.goals import PID
-from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, LawStructure, pid_tables
+from models.laws.design_methods import PID
+from models.laws.design_request import LawStructure
+from models.laws.law_structure import FILTER, GAINS, ITS_GAINS, pid_tables
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_law
 from synth.analysis.certificate import FASTEST, Certificate

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.law_structure import LawStructure, pid_filter, side_by_side
+from models.laws.design_request import LawStructure
+from models.laws.law_structure import pid_filter, side_by_side
 from models.laws.linear import LinearLaw
 from synth.design.descent.landscape import Landscape
 from synth.plant.generalized import Plant, gain_law, law_gain

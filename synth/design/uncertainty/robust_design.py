@@ -13,7 +13,7 @@ from scipy import optimize
 
 from models.common.arrays import Array
 from models.common.printed import digits
-from models.laws.law_structure import FULL
+from models.laws.design_methods import FULL
 from models.laws.linear import LinearLaw
 from synth.analysis.lower_bound import LowerBound
 from synth.design.methods import design

@@ -1,0 +1,99 @@
+"""Keys of bump stops in `[limits]` and in sections of corners; what they mean is in `models.characteristics.stops`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from models.characteristics import SIDES, STOP, STOP_KEYS
+from models.common.errors import InputError, quoted
+from models.common.extensions import FEATURES
+from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
+
+MOST = 3  # coefficients, as MuJoCo's polynomial springs have
+
+
+@dataclass(frozen=True)
+class StopPair:
+    """Different values for bump and rebound; None of a side without a stop."""
+
+    bump: Any
+    rebound: Any
+
+
+@dataclass(frozen=True)
+class OfSides(Key):
+    """A value for both sides, or one for each side: { bump = ..., rebound = ... }; an omitted side has no stop."""
+
+    one: Key
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.one.unit)
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns the value, or a `StopPair`."""
+        if not isinstance(value, Mapping) or {"force", "file"} & set(value):
+            return self.one.read(value, context)
+        given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
+        if not given or not set(given) <= set(SIDES):
+            raise InputError(
+                f"{HERE} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
+            )
+        return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of the value, and of one for each side."""
+        one = dict(self.one.json)
+        return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
+
+
+@dataclass(frozen=True)
+class StopStiffness(Key):
+    """A stiffness, up to three coefficients, or a table of force over compression."""
+
+    meaning: str = ""
+    unit: str = "N/m"
+
+    def read(self, value: Any, context: Mapping[str, Any]) -> Any:
+        """Returns the stiffness, a tuple of coefficients, or a `StopTable`."""
+        if isinstance(value, Mapping):
+            return FEATURES.load("stops").read_stop_table(value)
+        if not isinstance(value, (list, tuple)):
+            return SI("N/m").number(HERE, value)
+        if not 1 <= len(value) <= MOST:
+            raise InputError(
+                f"{HERE} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
+                "push back with k_1 x + k_2 x^2 + k_3 x^3"
+            )
+        units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
+        return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))
+
+    @property
+    def json(self) -> Mapping[str, Any]:
+        """The JSON schema of a number, a list of coefficients, or a table."""
+        number = SI(self.unit).json
+        several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
+        table = json_schema(FEATURES.load("curves in files").StopTableSection)
+        return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
+
+
+@dataclass(frozen=True)
+class StopSection(Section):
+    """Keys of bump stops in `[limits]`, and in `[limits.CORNER]`."""
+
+    by_place: ClassVar[bool] = True
+    hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("actuator_force", "actuator_bandwidth", "force_rate", "limit"), "is a key of all suspensions; move it to [limits]"
+    )
+
+    suspension_stroke: Annotated[Any, OfSides(SI("m"), "travel either way before the bump stop")] = None
+    stop_stiffness: Annotated[Any, OfSides(StopStiffness(), "stiffness of the stop, up to three coefficients, or a table")] = None
+    stop: Annotated[Any, OfSides(StopStiffness(), "the same as `stop_stiffness`")] = None
+
+    def __post_init__(self) -> None:
+        if self.stop is not None and self.stop_stiffness is not None:
+            raise InputError(f"has {STOP} and {STOP_KEYS[1]}, two names of one key; omit one")
+        if self.stop is not None:
+            object.__setattr__(self, STOP_KEYS[1], self.stop)
+            object.__setattr__(self, STOP, None)

@@ -1,0 +1,178 @@
+"""Extensions by name: what the core of the three packages knows by its name alone, and imports when the name is used.
+
+A row of `EXTENSIONS` is all that the core, help pages, completion and messages know of an extension. Without its row and its file
+everything else works.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from models.common.errors import InputError, alike
+from models.common.lazy import named
+
+
+class Registry(dict[str, str]):
+    """Extensions of one sort: the "module:attribute" of each, or its module, by name.
+
+    The order of names is that of columns and messages.
+
+    Attributes:
+        sort: noun for one of these extensions, for messages.
+    """
+
+    def __init__(self, sort: str, rows: Mapping[str, str]) -> None:
+        super().__init__(rows)
+        self.sort = sort
+
+    def load(self, name: str) -> Any:
+        """Returns what a name stands for; its module is imported now.
+
+        Raises:
+            InputError: no extension of this sort has that name.
+        """
+        if name not in self:
+            raise InputError(f"{self.sort} {name!r} is not known; known are {alike(name, self)}")
+        return named(self[name])
+
+
+_STANDARD = "sim.studies.ride.kinds.standard"
+_ROWS = {
+    "part": {  # a class, see `models.parts.part`
+        "stop": "models.parts.stop:Stops",
+        "spring": "models.parts.spring:SpringCurve",
+        "damper": "models.parts.damper:DamperCurve",
+        "surface damper": "models.parts.surface_damper:SurfaceDamper",
+        "adjustable damper": "models.parts.adjustable:Adjustable",
+        "actuator": "models.parts.actuator:Actuator",
+        "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
+        "gas_spring": "models.parts.elements.gas_spring:GasSpring",
+        "maxwell": "models.parts.elements.maxwell:Maxwell",
+        "inerter": "models.parts.elements.inerter:Inerter",
+        "bouc_wen": "models.parts.elements.bouc_wen:BoucWen",
+        "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
+        "dahl": "models.parts.elements.dahl:Dahl",
+    },
+    "design method": {  # a function, see `synth.design.methods`
+        "two_steps": "synth.design.two_step:two_steps",
+        "state": "synth.design.two_step:state",
+        "zero_l": "synth.design.two_step:zero_l",
+        "descent": "synth.design.fallback:descent",
+        "refinement": "synth.design.fallback:refinement",
+        "structured": "synth.design.fixed_order.fixed_order:structured",
+        "riccati": "synth.design.full_order.full_order:riccati",
+        "goals": "synth.design.multi_objective.design:for_goals",
+        "sampled": "synth.design.sampled_data:sampled",
+        "mu": "synth.design.uncertainty.robust_design:mu",
+        "lqr": "synth.design.full_order.quadratic:quadratic",
+        "lqg": "synth.design.full_order.quadratic:quadratic",
+        "h2": "synth.design.full_order.quadratic:quadratic",
+        "preview": "synth.design.full_order.preview:preview",
+    },
+    "feature": {  # a module, whose public names are its door: what a vehicle file, a command or a result may have beyond the core
+        "adjustable dampers": "models.characteristics.adjustable_range",
+        "curves": "models.characteristics.curve",
+        "curves in files": "models.characteristics.curve_reading",
+        "measured loops": "models.characteristics.measured_loop",
+        "motion ratios over travel": "models.characteristics.ratio_table",
+        "stops": "models.characteristics.stops",
+        "surfaces": "models.characteristics.surface",
+        "measured logs": "models.common.logs.measured_log",
+        "editing of TOML": "models.common.toml_edit",
+        "figures in notebooks": "models.document.notebook",
+        "pages": "models.document.page",
+        "pictures": "models.document.picture",
+        "seats": "models.kinds.seated_kind",
+        "vehicle types in Python": "models.kinds.user_kind",
+        "anti-windup": "models.laws.anti_windup",
+        "PID laws": "models.laws.law_structure",
+        "preview": "models.laws.preview",
+        "damper ranges": "models.parts.damper_range",
+        "parts in files": "models.parts.element",
+        "lines of parts": "models.parts.lines",
+        "parts native to MuJoCo": "models.parts.native",
+        "doubts about parts": "models.parts.plausibility",
+        "parts at motion ratios": "models.parts.ratio",
+        "parts": "models.parts.registry",
+        "settable parts": "models.parts.settable",
+        "roads by name": "models.roads.choice",
+        "loads by name": "models.roads.load_choice",
+        "IRI": "models.roads.iri",
+        "measured roads": "models.roads.profile",
+        "rigs": "models.roads.rig",
+        "all keys of controllers": "models.vehicle.controller_section",
+        "files named in vehicle files": "models.vehicle.in_place",
+        "integrals": "models.vehicle.integrals",
+        "payload": "models.vehicle.payload",
+        "semi-active coefficients": "models.vehicle.semi_active_coefficients",
+        "discrete plants": "synth.plant.discrete",
+        "zeros": "synth.analysis.interpolation",
+        "sampled norm": "synth.analysis.sampled_norm",
+        "exported code": "synth.controller.export.folder",
+        "norm as implemented": "synth.controller.implementation_norm",
+        "integral action": "synth.controller.integral_action",
+        "degenerate plants": "synth.design.degenerate",
+        "H2 designs": "synth.design.full_order.quadratic",
+        "lower bounds": "synth.lmi.full_order_bound",
+        "certificates as data": "synth.analysis.record",
+        "bounds of sampled loops": "synth.lmi.sampled_bound",
+        "large plants": "synth.lmi.structured_barrier",
+        "unobservable states": "synth.lmi.unobservable",
+        "changes since a certificate": "synth.vehicle.certified_vehicle",
+        "goals": "synth.vehicle.multi_objective",
+        "refinement": "synth.vehicle.refined",
+        "weighted errors": "synth.vehicle.weighted_errors",
+        "viewers": "sim.command.viewer",
+        "parts in MuJoCo": "sim.drive.part_steps",
+        "dampers in linear analysis": "sim.linear.dampers",
+        "response to given forces": "sim.linear.forced_response",
+        "stepped response": "sim.linear.stepped",
+        "effect of exported code": "sim.runs.code_effect",
+        "forces that dampers lack": "sim.runs.dampers",
+        "decay": "sim.runs.decay",
+        "force diagrams": "sim.runs.force_diagram",
+        "forces of parts": "sim.runs.forces",
+        "signals as CSV": "sim.runs.signal_table",
+        "start of a run": "sim.runs.start",
+        "stops that a run reaches": "sim.runs.stops",
+        "time histories": "sim.runs.time_histories",
+        "ride of a run": "sim.studies.ride.run_metrics",
+        "step response": "sim.studies.ride.step_response",
+        "comparison with a measured log": "sim.studies.validity.measured_log",
+    },
+    "driver": {  # what makes the driver of (controllers, failures, numbers), see `sim.drive.drivers.registry`
+        "linear": "sim.drive.drivers.linear:LinearDriver",
+        "semi_active": "sim.drive.drivers.semi_active:SemiActiveDriver",
+        "python": "sim.drive.drivers.python:in_python",
+        "recorded": "sim.drive.drivers.recorded:RecordedDriver",
+        "code": "sim.drive.drivers.code:CodeDriver",
+    },
+    "observer": {  # a class for batches, see `sim.drive.drive.Observer`, or a function of a recording
+        "energy": "sim.observers.energy:energy",
+        "steps": "sim.observers.steps:compare_steps",
+        "commands": "sim.observers.commands:compare_commands",
+        "twin": "sim.observers.twin:Twin",
+        "growth": "sim.observers.growth:Growth",
+    },
+    "metric": {  # a class; its name is its key in `--best` and in the table of controllers, whose columns have this order
+        "dive": f"{_STANDARD}:Dive",
+        "squat": f"{_STANDARD}:Squat",
+        "roll": f"{_STANDARD}:Roll",
+        "final_angle": f"{_STANDARD}:FinalAngle",
+        "rms_acceleration": f"{_STANDARD}:RmsAcceleration",
+        "ride": f"{_STANDARD}:Weighted",
+        "vdv": f"{_STANDARD}:VibrationDose",
+        "mtvv": f"{_STANDARD}:TransientVibration",
+        "crest": f"{_STANDARD}:Crest",
+        "rms_travel": f"{_STANDARD}:RmsTravel",
+        "peak_travel": f"{_STANDARD}:PeakTravel",
+        "dynamic_load": f"{_STANDARD}:DynamicLoad",
+        "off_ground": f"{_STANDARD}:OffGround",
+        "force_rms": f"{_STANDARD}:RmsForce",
+        "force_peak": f"{_STANDARD}:PeakForce",
+        "power": f"{_STANDARD}:ControlPower",
+        "energy": f"{_STANDARD}:ControlEnergy",
+        "at_stops": f"{_STANDARD}:AtStops",
+    },
+}
+EXTENSIONS = {sort: Registry(sort, rows) for sort, rows in _ROWS.items()}
+PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS = EXTENSIONS.values()

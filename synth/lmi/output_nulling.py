@@ -1,0 +1,73 @@
+"""States that a gain can make unobservable in z: (C + D F) x stays 0 from such a state on."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.stability import balance
+from synth.plant.generalized import Plant
+
+RANK = 1e-9  # relative; a smaller singular value counts as zero
+
+
+def output_nulling_gains(plant: Plant) -> Iterator[Array]:
+    """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
+    yield np.zeros_like(plant.B.T)
+    W = plant.independent_inputs()
+    D = plant.D @ W
+    if D.shape[1] and np.any(D) and np.linalg.matrix_rank(D, RANK * np.linalg.norm(D)) == D.shape[1]:
+        F = -W @ np.linalg.pinv(D) @ plant.C
+        if np.linalg.norm(plant.D @ F) > RANK * np.linalg.norm(plant.C):
+            yield F
+
+
+def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
+    """Returns the plant in coordinates T / lengths, in which ranks are decided, and these lengths of the columns of T."""
+    lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
+    return plant.in_coordinates(T / lengths), lengths
+
+
+def hides_stable_states(plant: Plant, T: Array, step: float) -> bool:
+    """Returns True if a gain makes stable states unobservable in z; T and step are those of `remove_unobservable`."""
+    moved, _ = in_balanced_coordinates(plant, T)
+    return any(output_nulling_subspace(moved, F, step)[0].shape[1] for F in output_nulling_gains(moved))
+
+
+def sees_every_state(plant: Plant) -> bool:
+    """Returns True if neither without control nor under the gain -D^+ C a state is unobservable in z."""
+    return not any(output_nulling_subspace(plant, F)[1].shape[1] for F in output_nulling_gains(plant))
+
+
+def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
+    """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
+    n = len(plant.A)
+    loop = plant.closed_loop(F) if F.any() else plant
+    terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
+    lengths = np.linalg.norm(loop.C, axis=1)
+    counts = lengths > RANK * terms
+    rows, size = loop.C[counts] / lengths[counts, None], float(np.linalg.norm(loop.A))
+    observable = np.zeros((0, n))
+    while len(rows) and len(observable) < n:
+        _, sizes, directions = np.linalg.svd(np.vstack([observable, rows]))
+        observable = directions[: int(np.sum(sizes > RANK))]
+        rows = observable @ loop.A
+        rows = rows - rows @ observable.T @ observable
+        lengths = np.linalg.norm(rows, axis=1)
+        rows = rows[lengths > RANK * size] / size
+    V = complement(observable.T)
+    if not V.shape[1]:
+        return V, V
+    slow = RANK * size  # a slower mode does not decay, to rounding
+
+    def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
+        return real + step * (real**2 + imaginary**2) / 2 < -slow
+
+    _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]
+    return V @ vectors[:, :count], V
+
+
+def complement(V: Array) -> Array:
+    """Returns an orthonormal basis of the complement of the orthonormal columns of V, shape (n, n - k)."""
+    return np.linalg.svd(V.T)[2][V.shape[1] :].T
