@@ -42,7 +42,7 @@ SCREEN = {  # command lines, with the vehicles that the suite asks it of, and th
     "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs": "built /",
     f"sim.drive {ALL} --class E --no-logs": "built / full_car",
     f"sim.drive {ALL} --class E --logs logs": "/ quarter_car quarter_car_goals quarter_car_semi_active half_car",
-    "synth --rates 5 50": "/ quarter_car",
+    "synth --rates 50": "/ quarter_car",
     "synth --fragility": "/ quarter_car",
     "synth --refine": "quarter_car_semi_active / quarter_car quarter_car_goals",
     "synth --prove": "quarter_car / quarter_car_accelerometer",
