@@ -1,6 +1,7 @@
 """Fixtures of several tests: the paper's vehicle, its designs, and vehicles drawn at random."""
 
 import dataclasses
+import gc
 import signal
 from collections.abc import Iterator
 
@@ -36,6 +37,11 @@ TEXTBOOK = {
     "suspension_damping": 1000,
     "tyre_stiffness": 190000,
 }
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays: no later search for garbage looks through it."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

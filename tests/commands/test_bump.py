@@ -31,16 +31,6 @@ ROOT = Path(__file__).parents[2]
 VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()
 CONTROLLERS = ["passive", "state", "I", "II", "state_printed", "I_printed", "II_printed"]
 
-# Peaks over the paper's bump (61)-(62) with its printed gains: DOP853 at rtol 1e-12 on the continuous closed loop, 3 s, 1 kHz;
-# Drake's multibody plant agrees for I. With half the unit of the last digit that was written down.
-PEAKS = {
-    "passive": (2.324, 83.08e-3, 6.420e-3, 0.0),
-    "state_printed": (0.918, 95.37e-3, 6.059e-3, 1223.4),
-    "I_printed": (0.763, 96.97e-3, 5.996e-3, 1227.8),
-    "II_printed": (1.152, 94.03e-3, 6.044e-3, 1106.7),
-}
-DIGITS = {"sprung_acceleration": 5e-4, "suspension_deflection": 5e-6, "tyre_deflection": 5e-7, "control_force": 0.05}
-
 UNITS = {
     "suspension_deflection": "m",
     "tyre_deflection": "m",
@@ -61,17 +51,9 @@ def vehicle_with(folder, gain, measured="sprung_velocity"):
 @pytest.fixture(scope="module")
 def everything():
     """Returns what `--controller all --json` prints."""
-    done = printed("sim.bump", "--controller", "all", "--json", "--no-logs")
+    done = printed("sim.bump", "--controller", "all", "--no-logs", "--json")
     assert (done.code, done.err, list(done.folder.iterdir())) == (0, "", [])
     return done.json
-
-
-def test_peaks_of_an_independent_solver(everything):
-    """The continuous peaks are those that two other simulators gave, to every digit that they were written down with."""
-    runs = {run["controller"]["name"]: run["signals"] for run in everything["runs"]}
-    for name, peaks in PEAKS.items():
-        for (signal, half), peak in zip(DIGITS.items(), peaks, strict=True):
-            assert runs[name][signal]["peak"]["continuous"] == pytest.approx(peak, abs=half + 1e-12), (name, signal)
 
 
 def test_json_of_every_controller(everything):
@@ -129,13 +111,6 @@ def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no static gain on these measurements stabilises"):
         main(["--controller", "mine", "--vehicle", "mine.toml"])
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.toml"]
-
-
-def test_a_step_that_is_too_coarse_is_in_the_verdict(capsys):
-    """At 20 ms RK4 is a tenth of the peak off: the run is that of the model, and the verdict says that its step is too coarse."""
-    assert main(["--controller", "I", "--no-logs", "--timestep", "0.02"]) == 0
-    said = "MuJoCo agrees with the model; linear analysis applies over the whole run; the timestep is too coarse"
-    assert said in prose(capsys.readouterr().out)
 
 
 def test_another_vehicles_prediction_does_not_agree(paper, designer):
@@ -246,7 +221,8 @@ def test_help_shows_units_and_defaults(capsys):
 
 def test_negative_numbers_are_no_options(capsys):
     """A hole is a bump of negative height, with or without an exponent, and the linear response is its mirror image."""
-    results = [answer(capsys, main, "--controller", "passive", "--no-logs", "--height", height) for height in ("-2e-2", "0.02")]
+    options = ("--controller", "passive", "--no-logs", "--duration", "0.6", "--height")
+    results = [answer(capsys, main, *options, height) for height in ("-2e-2", "0.02")]
     hole, bump = (result["runs"][0]["signals"] for result in results)
     assert results[0]["road"]["height"] == -0.02
     for name in UNITS:

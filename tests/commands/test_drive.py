@@ -21,7 +21,7 @@ from tests.support.shared import designed
 def test_class_c(capsys, tmp_path):
     """Controller I over class C: agreement until the wheel lifts, every metric thrice, logs that are there."""
     result = answer(
-        capsys, main, "--controller", "I", "--class", "c", "--speed", "20", "--duration", "6", "--logs", str(tmp_path)
+        capsys, main, "--controller", "I", "--class", "c", "--speed", "20", "--duration", "4", "--logs", str(tmp_path)
     )
     (run,) = result["runs"]
     assert run["agrees"]
@@ -69,7 +69,7 @@ def test_csv(command, tmp_path, capsys):
 def test_seed(capsys):
     """Another seed is another road, the same seed the same numbers."""
     roads = [
-        answer(capsys, main, "--controller", "passive", "--duration", "2", "--no-logs", "--seed", seed)["runs"]
+        answer(capsys, main, "--controller", "passive", "--duration", "1", "--no-logs", "--seed", seed)["runs"]
         for seed in ("1", "1", "2")
     ]
     assert roads[0] == roads[1] != roads[2]
@@ -80,7 +80,7 @@ def test_seed(capsys):
 )
 def test_obstacles(capsys, road):
     """Every obstacle is driven, agrees, and is measured without an expectation, as it has no spectrum."""
-    result = answer(capsys, main, "--controller", "I", "--road", road, "--speed", "10", "--duration", "2", "--no-logs")
+    result = answer(capsys, main, "--controller", "I", "--road", road, "--speed", "10", "--duration", "1", "--no-logs")
     assert result["road"]["type"] == road.split(":")[0]
     metric = result["runs"][0]["metrics"]["suspension_deflection_peak"]
     assert metric["expected"] is None
@@ -117,8 +117,8 @@ def test_a_road_that_ends_before_its_run_or_after_it(capsys, tmp_path, duration,
 
 def test_verdict_before_a_wheel_lifts(capsys):
     """If a wheel lifts within a moment, the time before it agrees, though the body turns: later says nothing of that."""
-    arguments = ["--vehicle", "half_car", "--controller", "II", "--class", "D", "--speed", "25", "--duration", "3", "--seed", "1"]
-    result = answer(capsys, main, *arguments, "--no-logs")
+    arguments = ["--vehicle", "half_car", "--controller", "II", "--class", "D", "--speed", "25", "--seed", "1"]
+    result = answer(capsys, main, *arguments, "--duration", "1.5", "--no-logs")
     assert result["runs"][0]["agrees"]
     assert result["runs"][0]["lift_off"][0][0] < 1.0
 

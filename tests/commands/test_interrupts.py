@@ -120,8 +120,8 @@ COMMANDS = {  # the shortest run of each that writes all that it can
     "synth": ("--controller", "I", "--save", "mine.toml", "--json"),
 }
 ENOUGH = 120.0  # s that a command may take on a busy machine
-EARLY = 6.0  # s; what comes later in a long command is more of the same
-INTERRUPTS = 30
+EARLY = 4.0  # s; what comes later in a long command is more of the same
+INTERRUPTS = 18
 
 
 def start(command: str, folder: Path) -> subprocess.Popen:

@@ -13,56 +13,11 @@ from typing import Any
 
 import pytest
 
-from models.vehicle.vehicle import read_vehicle
-from tests.commands.test_report_numbers import QUICK, REALITY
+from tests.commands.golden import CASES, VEHICLE, golden
 from tests.support import shared
 from tests.support.commands import in_the_suite
 
 FILE = Path(__file__).with_name("json_keys.txt")
-CAMPAIGN = """
-vehicles = ["quarter_car"]
-controllers = ["passive", "I_printed"]
-roads = ["iso8608:class=B", "bump:height=0.02"]
-speeds = [10.0]
-duration = 0.2
-timestep = 5e-3
-"""
-VEHICLE = read_vehicle("quarter_car")
-LOG = "time [s];sprung_acceleration [g]\n" + "".join(f"{0.01 * i:.2f};{i % 5}\n" for i in range(21))
-FILES = {"log.csv": LOG, "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
-LIMITS, DAMPER = ("--vehicle", "quarter_car.toml"), ("--vehicle", "quarter_car_semi_active", "--controller", "skyhook")
-ONE, STEP = ("--controller", "I"), ("--timestep", "0.005")
-SHORT = (*STEP, "--duration", "0.2", "--no-logs")
-LIFTS = ("--height", "0.3", "--speed", "25", *STEP, "--duration", "0.4", "--logs", "logs")  # with a log for `sim.inspect`
-MAP = ("--vary", "height:0.02:0.3:2", *STEP)
-CASES = {  # the cases of each command: their names and options
-    "synth": {
-        "plain": (),
-        "limits": (*ONE, *LIMITS),
-        "damper": (*ONE, *DAMPER[:2]),
-        "fragility": (*ONE, "--fragility"),
-        "rates": (*ONE, "--rates", "5"),
-        "export": (*ONE, "--export", "ecu"),
-        "check": ("--check", "quarter_car.toml"),
-        "front": (*ONE, "--front", "ride:travel"),
-        "goals": ("--vehicle", "quarter_car_goals"),
-    },
-    "sim.new": {"plain": ("car.toml", "--schema")},
-    "sim.bump": {"plain": (*ONE, *LIFTS), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
-    "sim.drive": {
-        "plain": (*ONE, *SHORT),
-        "limits": (*ONE, *SHORT, *LIMITS),
-        "damper": (*DAMPER, *SHORT),
-        "measured": (*ONE, *SHORT, "--beside", "log.csv", "--beside-remove-offset"),
-    },
-    "sim.sweep": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
-    "sim.margins": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
-    "sim.envelope": {"plain": (*ONE, *MAP), "plane": (*ONE, *MAP, "--vary", "speed:10:20:2")},
-    "sim.campaign": {"plain": ("campaign.toml",)},
-    "sim.inspect": {"plain": ()},
-    "sim.gallery": {"plain": ("textbook",)},
-    "sim.report": {"plain": QUICK, "limits": (*QUICK, *LIMITS)},
-}
 LONG = {("synth", "front"), ("synth", "goals"), ("synth", "rates"), ("sim.sweep", "limits"), ("sim.margins", "limits")}
 EVERY = [(command, case) for command, cases in CASES.items() for case in cases]
 NAMES = "|".join([*VEHICLE.parameters, *(signal.name for signal in VEHICLE.kind.signals), "(?<=^gain-).*"])
@@ -82,12 +37,7 @@ def paths(found: Any, at: str = "") -> Iterator[str]:
 
 def keys(command: str, case: str) -> set[str]:
     """Returns the paths that a command prints with `--json`."""
-    options = CASES[command][case]
-    if command == "sim.inspect":
-        bump = shared.printed("sim.bump", *CASES["sim.bump"]["plain"], "--json")
-        options = (str(bump.folder / bump.json["logs"]["mcap"]),)
-    files = {name: text for name, text in FILES.items() if name in options}
-    return set(paths(shared.printed(command, *options, *(() if "--json" in options else ("--json",)), files=files).json))
+    return set(paths(golden(command, case).json))
 
 
 def write() -> None:

@@ -13,6 +13,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.__main__ import COMMANDS, VERBS
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
+from tests.commands.golden import CASES, golden
 from tests.support.commands import attacks, main_of, prose
 from tests.support.pages import page
 
@@ -35,13 +36,13 @@ timestep = 2e-3
 """
 ALL = "--controller all --timestep 4e-3 --duration 0.2"
 SCREEN = {  # command lines, with the vehicles that the suite asks it of, and those that the attacks do
-    "synth": "quarter_car quarter_car_semi_active built / quarter_car_accelerometer quarter_car_goals half_car full_car",
+    "synth": "quarter_car_semi_active built / quarter_car_accelerometer quarter_car_goals half_car full_car",
     f"sim.bump {ALL} --no-logs": "full_car /",
     f"sim.bump {ALL} --logs logs": "/ quarter_car quarter_car_accelerometer quarter_car_semi_active half_car built",
     "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs": "built /",
     f"sim.drive {ALL} --class E --no-logs": "built / full_car",
     f"sim.drive {ALL} --class E --logs logs": "/ quarter_car quarter_car_goals quarter_car_semi_active half_car",
-    "synth --rates 5 50": "/ quarter_car",
+    "synth --rates 50": "/ quarter_car",
     "synth --fragility": "/ quarter_car",
     "synth --refine": "quarter_car_semi_active / quarter_car quarter_car_goals",
     "synth --prove": "quarter_car / quarter_car_accelerometer",
@@ -52,7 +53,7 @@ SCREEN = {  # command lines, with the vehicles that the suite asks it of, and th
     "sim.sweep --controller I --timestep 4e-3 --logs logs": "/ built",
     "sim.margins --controller CONTROLLER --timestep 4e-3": "/ quarter_car half_car built",
     "sim.envelope --controller CONTROLLER --vary height:0.02:0.4:2 --vary speed:5:20:2 --timestep 4e-3": "full_car built /",
-    "sim.report --quick --timestep 4e-3": "quarter_car / half_car",
+    "sim.report --quick --timestep 4e-3": "/ half_car",
 }
 ONE = {"quarter_car_accelerometer": "accelerometer", "quarter_car_goals": "comfort"}  # of others it is I
 RUN = r"agrees|DOES NOT AGREE|outside the linear regime"
@@ -103,8 +104,18 @@ def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsy
     vehicle = built if car == "built" else car
     main_of(name)([*arguments, *([] if "--check" in arguments else ["--vehicle", vehicle])])
     out = capsys.readouterr().out
-    assert too_wide(out) == []
     assert len(out.splitlines()) <= LINES + 2 * (car == "quarter_car_semi_active" and "all" in arguments) or car == "built"
+    if name == "sim.report":
+        assert out.startswith(f"report\n  report-{car}.html\n")
+    last = check_answer(name, out)
+    if "all" in arguments:
+        names = read_vehicle(vehicle).controller_names
+        assert {*names} <= {*last.replace(",", " ").replace(":", " ").split()}
+
+
+def check_answer(name: str, out: str) -> str:
+    """Checks that a command's text fits and has its verdict where it belongs; returns its last sentences."""
+    assert too_wide(out) == []
     if name in FIRST:
         answer = prose(out.split("\n", 2)[2])
         assert re.match(FIRST[name], answer)
@@ -113,14 +124,38 @@ def test_the_answer_fits_a_screen(car, line, built, tmp_path, monkeypatch, capsy
         assert swept
         assert rest
         assert {*swept} <= {*re.findall(r"\w+", verdicts)}
-        return
-    if name == "sim.report":
-        assert out.startswith(f"report\n  report-{car}.html\n")
+        return answer
     last = prose(out[out.rindex("\n\n") :])
     assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
-    if "all" in arguments:
-        names = read_vehicle(vehicle).controller_names
-        assert {*names} <= {*last.replace(",", " ").replace(":", " ").split()}
+    return last
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name in {*FIRST, *ANSWERS}])
+def test_golden_runs(name):
+    """The text of a golden run fits a screen, and its verdict is that of its JSON."""
+    run, text = golden(name, "plain"), golden(name, "plain", "")
+    assert (run.code, run.err) == (text.code, text.err) == (0, "")
+    assert len(text.out.splitlines()) <= LINES
+    last = check_answer(name, text.out)
+    for one in run.json["compared"]["controllers"] if name in ("sim.bump", "sim.drive") else []:
+        assert one["controller"] == "passive" or one["controller"] in last
+        assert f"{one['ride']:.3g}" in text.out
+
+
+def texts(found: object) -> set[str]:
+    """Returns the values of a JSON object that are texts."""
+    if isinstance(found, dict | list):
+        return set().union(*map(texts, found.values() if isinstance(found, dict) else found))
+    return {found} if isinstance(found, str) else set()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_files(name):
+    """JSON names each file that a golden run wrote."""
+    run = golden(name, "plain")
+    written = {path.relative_to(run.folder).as_posix() for path in run.folder.rglob("*") if path.is_file()}
+    own = {"campaign-results/.lock", "campaign-results/plan.json", "campaign.toml"}  # of a campaign, beside its results
+    assert written - texts(run.json) <= own
 
 
 def test_log(tmp_path, monkeypatch, capsys):

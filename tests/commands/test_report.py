@@ -16,20 +16,18 @@ from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.report.designs import other_ways
 from synth.vehicle.designer import Designer
+from tests.commands.golden import QUICK, golden
 from tests.support.commands import prose
 from tests.support.shared import printed
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 pytest.importorskip("matplotlib", reason="a report needs the extra [report]")
 
-# Of the paper's vehicle; the step divides the README's sample period, and a run takes less than half the time of one at 1 ms.
-QUICK = ("--quick", "--timestep", "0.0025", "--out", "report.html", "--json")
-
 
 @pytest.fixture(scope="module")
 def report() -> tuple[Path, dict]:
     """A quick report of the paper's vehicle, and its JSON."""
-    done = printed("sim.report", *QUICK)
+    done = golden("sim.report", "plain")
     assert done.code == 0
     return done.folder / "report.html", done.json
 
@@ -94,7 +92,7 @@ def test_remarks_of_the_paper(report, designer):
 @pytest.mark.attack
 def test_figures_and_tables_as_files():
     """Every figure is there as SVG and PNG, every table as CSV with the page's numbers; files of others are named, and stay."""
-    done = printed("sim.report", *QUICK, "--figures", ".", files={"gain-mine.csv": ""})
+    done = printed("sim.report", *QUICK, "--json", "--figures", ".", files={"gain-mine.csv": ""})
     folder, result = done.folder, done.json
     for name in ("frequency-responses", "bump"):
         assert (folder / f"{name}.svg").read_text().rstrip().endswith("</svg>")

@@ -18,15 +18,12 @@ from sim.report.__main__ import main as report
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_texts
 from sim.runs.report import energy_table, verdict
 from sim.runs.run import run_controllers, sample_times
-from tests.commands.test_report import QUICK
-from tests.support import shared
+from tests.commands.golden import REALITY, golden
 from tests.support.commands import attacks
-from tests.support.pages import site
 from tests.support.reading import PageRead, read_report
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
-REALITY, *_ = site("Limits").blocks("toml")
 NAMES = ("passive", "state", "I", "II")
 STEP = ("--timestep", "0.0025")  # that of `QUICK`
 COARSE = ("--timestep", "0.005")  # where a page is not held against others
@@ -54,7 +51,7 @@ def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
 @pytest.fixture(scope="module")
 def plain() -> PageRead:
     """A report of the paper's vehicle as it ships."""
-    done = shared.printed("sim.report", *QUICK)
+    done = golden("sim.report", "plain")
     return PageRead(done.folder / "report.html", done.json)
 
 
@@ -67,8 +64,7 @@ def real_file(tmp_path_factory) -> str:
 @pytest.fixture(scope="module")
 def real() -> PageRead:
     """A report of that vehicle."""
-    files = {"quarter_car.toml": read_vehicle("quarter_car").text + "\n" + REALITY}
-    done = shared.printed("sim.report", *QUICK, "--vehicle", "quarter_car.toml", files=files)
+    done = golden("sim.report", "limits")
     return PageRead(done.folder / "report.html", done.json)
 
 

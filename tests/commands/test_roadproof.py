@@ -36,8 +36,8 @@ def test_an_error_names_the_command_as_it_was_called(called, named):
 
 def test_a_verb_is_its_command():
     """A command prints the same and ends the same either way, bad input included."""
-    arguments = ("--controller", "nonsense")
-    by_verb, by_module = run("-c", CODE, "synth", *arguments), run("-m", "synth", *arguments)
+    arguments = ("nowhere/car.toml",)
+    by_verb, by_module = run("-c", CODE, "new", *arguments), run("-m", "sim.new", *arguments)
     assert by_verb == by_module
     assert by_verb[0] == 2
 

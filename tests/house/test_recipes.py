@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from tests.support.pages import ROOT, page, sections
+from tests.support.pages import ROOT, copied, page, sections
 
 EXTENSIONS = "models/common/extensions.py"
 MARK = "\n\n# By their names on a command line"
@@ -32,8 +32,7 @@ def test_add_a_road_and_a_command(tmp_path):
         if recipe.heading == heading
         for block in recipe.blocks("python")
     )
-    for folder in ("models", "synth", "sim", "tests", "docs", "logs", ".github"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    copied(tmp_path, "models", "synth", "sim", "tests", "docs", "logs", ".github")
     for file in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, tmp_path)
     path = tmp_path / "models" / "roads" / "obstacles.py"
@@ -96,8 +95,7 @@ def test_add_a_key(tmp_path):
     """The recipe's line alone makes a key: read with its unit, refused in a line, recorded, documented, and known to editors."""
     recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a key to a vehicle file")
     (line,) = recipe.blocks("python")
-    for folder in ("models", "synth", "sim", "tests", "docs"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    copied(tmp_path, "models", "synth", "sim", "tests", "docs")
     path = tmp_path / "models" / "vehicle" / "limits_and_implementation.py"
     source, last = path.read_text(encoding="utf-8"), '    seed: Annotated[int, Integer("seed of the noise")] = 0\n'
     assert source.count(last) == 1
@@ -136,8 +134,7 @@ def test_add_a_force_element(tmp_path):
     """The recipe's file and line alone make an element: read and documented, right in MuJoCo, verdict, energy and expectation."""
     recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a force element")
     file, line = recipe.blocks("python")
-    for folder in ("models", "synth", "sim", "tests", "docs"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    copied(tmp_path, "models", "synth", "sim", "tests", "docs")
     (tmp_path / "models" / "parts" / "elements" / "cubic_damper.py").write_text(file, encoding="utf-8")
     register(tmp_path, "part", line)
     code = """if True:
@@ -176,8 +173,7 @@ def test_add_a_method_of_design(tmp_path):
     """The recipe's file and line alone make a method: for a vehicle and any plant, with a certificate and its own poles."""
     recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a method of design")
     file, line = recipe.blocks("python")
-    for folder in ("models", "synth", "sim", "tests", "docs"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    copied(tmp_path, "models", "synth", "sim", "tests", "docs")
     minimising = file.replace('of stability")', 'of stability", value=1.0, criterion="H2 norm")')
     (tmp_path / "synth" / "design" / "shifted_h2.py").write_text(minimising, encoding="utf-8")
     register(tmp_path, "design method", line)
@@ -226,8 +222,7 @@ def test_add_a_method_of_design(tmp_path):
 def test_add_a_driver_and_an_observer(tmp_path):
     """The recipes' files and lines alone make both: relays agree with their law, and peaks are those of recordings."""
     found = {each.heading: each.blocks("python") for each in sections(".github/CONTRIBUTING.md")}
-    for folder in ("models", "synth", "sim"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    copied(tmp_path, "models", "synth", "sim")
     for heading, place, sort in (
         ("Add a driver", "sim/drive/drivers/relay.py", "driver"),
         ("Add an observer", "sim/observers/peaks.py", "observer"),
@@ -268,8 +263,7 @@ def test_add_a_metric(tmp_path):
     """The recipe's file and line alone make a metric: measured, expected, compared over runs by its own rule, an objective."""
     recipe = next(each for each in sections(".github/CONTRIBUTING.md") if each.heading == "Add a metric")
     file, line = recipe.blocks("python")
-    for folder in ("models", "synth", "sim", "docs"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    copied(tmp_path, "models", "synth", "sim", "docs")
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive", "II_printed"]\nroads = ["iso8608:class=C"]\n'
         "speeds = [10, 30]\nseeds = 2\nduration = 2\ntimestep = 2e-3\n"

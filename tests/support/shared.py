@@ -133,6 +133,7 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.lmi.central_path.central_path",
     "synth.lmi.full_order_bound.bound_beyond_control",
     "synth.lmi.full_order_bound.find_lower_bound",
+    "synth.lmi.sampled_bound.find_sampled_bound",
     "synth.design.two_step.two_step_design",
     "synth.design.static.static_output_feedback",
     "synth.design.full_order.full_order.full_order_design",

@@ -1,0 +1,71 @@
+"""The golden run of each command, made once in a session: different tests check text, JSON keys, files, log and inspection.
+
+found = golden("sim.bump", "plain")
+assert found.code == 0 and found.json["runs"]
+assert golden("sim.bump", "plain", form="").out.endswith("energy balances\n")  # the same as text
+"""
+
+from models.vehicle.vehicle import read_vehicle
+from tests.support.pages import site
+from tests.support.shared import Printed, printed
+
+REALITY, *_ = site("Limits").blocks("toml")  # the README's example: limits, a sample period, a delay, noise and quantisation
+# Of the paper's vehicle; the step divides the README's sample period, and a run takes less than half the time of one at 1 ms.
+QUICK = ("--quick", "--timestep", "0.0025", "--out", "report.html")
+CAMPAIGN = """
+vehicles = ["quarter_car"]
+controllers = ["passive", "I_printed"]
+roads = ["iso8608:class=B", "bump:height=0.02"]
+speeds = [10.0]
+duration = 0.2
+timestep = 5e-3
+"""
+VEHICLE = read_vehicle("quarter_car")
+LOG = "time [s];sprung_acceleration [g]\n" + "".join(f"{0.01 * i:.2f};{i % 5}\n" for i in range(21))
+FILES = {"log.csv": LOG, "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
+LIMITS, DAMPER = ("--vehicle", "quarter_car.toml"), ("--vehicle", "quarter_car_semi_active", "--controller", "skyhook")
+ONE, STEP = ("--controller", "I"), ("--timestep", "0.005")
+SHORT = (*STEP, "--duration", "0.2", "--no-logs")
+LIFTS = ("--height", "0.3", "--speed", "25", *STEP, "--duration", "0.4", "--logs", "logs")  # with a log for `sim.inspect`
+MAP = ("--vary", "height:0.02:0.3:2", *STEP)
+CASES = {  # the cases of each command: their names and options
+    "synth": {
+        "plain": (),
+        "limits": (*ONE, *LIMITS),
+        "damper": (*ONE, *DAMPER[:2]),
+        "fragility": (*ONE, "--fragility"),
+        "rates": (*ONE, "--rates", "5"),
+        "export": (*ONE, "--export", "ecu"),
+        "check": ("--check", "quarter_car.toml"),
+        "front": (*ONE, "--front", "ride:travel"),
+        "goals": ("--vehicle", "quarter_car_goals"),
+    },
+    "sim.new": {"plain": ("car.toml", "--schema")},
+    "sim.bump": {"plain": (*ONE, *LIFTS), "limits": (*ONE, *SHORT, *LIMITS), "damper": (*DAMPER, *SHORT)},
+    "sim.drive": {
+        "plain": (*ONE, *SHORT),
+        "limits": (*ONE, *SHORT, *LIMITS),
+        "damper": (*DAMPER, *SHORT),
+        "measured": (*ONE, *SHORT, "--beside", "log.csv", "--beside-remove-offset"),
+    },
+    "sim.sweep": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
+    "sim.margins": {"plain": (*ONE, *STEP), "limits": (*ONE, *STEP, *LIMITS)},
+    "sim.envelope": {"plain": (*ONE, *MAP), "plane": (*ONE, *MAP, "--vary", "speed:10:20:2")},
+    "sim.campaign": {"plain": ("campaign.toml",)},
+    "sim.inspect": {"plain": ("LOG",)},
+    "sim.gallery": {"plain": ("textbook",)},
+    "sim.report": {"plain": QUICK, "limits": (*QUICK, *LIMITS)},
+}
+
+
+def golden(command: str, case: str, form: str = "--json") -> Printed:
+    """Returns what a command prints and writes in one of its cases: JSON, or text in a form: `-v`, `--brief` or empty.
+
+    `LOG` among the options is the log of the plain run of `sim.bump`.
+    """
+    options = list(CASES[command][case])
+    files = {name: text for name, text in FILES.items() if name in options}
+    if "LOG" in options:
+        bump = golden("sim.bump", "plain")
+        options[options.index("LOG")] = str(bump.folder / bump.json["logs"]["mcap"])
+    return printed(command, *options, *filter(None, [form]), files=files)
