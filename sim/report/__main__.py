@@ -19,10 +19,8 @@ from typing import TYPE_CHECKING, cast
 from models.common.command import Parser, chosen_of, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, show, some_sentences
-from models.vehicle.names import PLUS, without_copies
+from models.vehicle.names import LOAD_SYNTAX, PLUS, without_copies
 from sim.command.road_options import (
-    add_exported,
-    add_loads,
     add_road,
     left_out_lines,
     omitted_controllers,
@@ -160,13 +158,13 @@ def _several(
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import written, written_lines
     from sim.report.contents import report_object
-    from sim.studies.ride.standing import standing_lines, standings_object
+    from sim.studies.ride.standing import record_of_standings, standing_lines
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
         whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
-        print_json({"reports": whole, "compared": standings_object(compared), **left})
+        print_json({"reports": whole, "compared": record_of_standings(compared), **left})
     else:
         lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
         say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
@@ -242,7 +240,7 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names, read_entry
     from sim.studies.gallery.numbers import compared
-    from sim.studies.gallery.report import gallery_object
+    from sim.studies.gallery.report import record
 
     repeated = {
         name
@@ -265,7 +263,7 @@ def _gallery(options: argparse.Namespace) -> int:
     _write(page, outputs)
     stage.end()
     if options.json:
-        print_json({**gallery_object(results), **written(outputs)})
+        print_json({**record(results), **written(outputs)})
     else:
         say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0
@@ -322,10 +320,10 @@ def _parser() -> Parser:
         help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
         "MuJoCo runs of some designs; takes half a minute more",
     )
-    add_exported(parser, "add the exported code in this folder of python -m synth --export, and its effect")
+    parser.add_exported("add the exported code in this folder of python -m synth --export, and its effect")
     add_road(parser, "none")
     parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
-    add_loads(parser, "add a load on a flat road; with --road or --class it acts there, too")
+    parser.add_loads("add a load on a flat road; with --road or --class it acts there, too", LOAD_SYNTAX)
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
     printed.add_argument("-v", "--verbose", action="store_true", help="also print every statement of the page")

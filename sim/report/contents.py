@@ -27,7 +27,7 @@ from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.report import describe, workshop
 from sim.studies.frequency.sweep import OWN, Sweep, sweep
 from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
-from sim.studies.ride.standing import Standing, headline, some_names, standing, standings_object, without_unsound
+from sim.studies.ride.standing import Standing, headline, record_of_standings, some_names, standing, without_unsound
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_end import regime_ends
 from sim.studies.validity.regime_map import Cells, validity
@@ -269,4 +269,4 @@ def report_object(report: Report) -> dict[str, Any]:
         "verdict": page.state,
         "tables": {one.name: one.records for one in page.whole.tables},
     }
-    return json.loads(json.dumps({**whole, "compared": standings_object(report.compared)}))
+    return json.loads(json.dumps({**whole, "compared": record_of_standings(report.compared)}))

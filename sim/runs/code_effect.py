@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite
+from models.document.field import Record
 from sim.drive.response import Response
 from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
@@ -87,9 +87,8 @@ def code_effect(
     return CodeEffect(law.numbers, apart, shares[furthest], furthest, law_agrees, clipped)
 
 
-def code_object(effect: CodeEffect | None) -> dict[str, Any]:
-    """Returns the effect of exported code for JSON; empty without such code."""
-    if effect is None:
-        return {}
-    apart = {name: {"peak": finite(effect.peak(name)), "rms": finite(effect.rms(name))} for name in effect.apart}
-    return {"code_difference": apart}
+def _differences(effect: CodeEffect) -> dict[str, Any]:
+    return {name: {"peak": effect.peak(name), "rms": effect.rms(name)} for name in effect.apart}
+
+
+DIFFERENCES = Record[CodeEffect](_differences)  # of a run with exported code from that with the law, by signal

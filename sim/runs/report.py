@@ -5,16 +5,16 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from models.common.printed import as_name, entry, finite, percent
+from models.common.printed import as_name, entry, percent
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import Detail, Field, json_object
+from models.document.field import OMITTED, Detail, Field, Record, if_any
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import Vehicle
@@ -35,19 +35,19 @@ from sim.drive.regime import (
 from sim.drive.response import Response
 from sim.observers.results import ALLOWED, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
-from sim.runs.code_effect import CodeEffect, code_object
+from sim.runs.code_effect import DIFFERENCES, CodeEffect
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
-from sim.runs.stops import stop_names, stop_note, stops_object
+from sim.runs.stops import STOPS, stop_names, stop_note
 from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
+    GROWTH,
     NORM,
     PEAK,
     failures_of_sampled_loop,
     filter_lines,
     growth_lines,
-    growth_object,
     ideal_lines,
     norm_if_implemented,
     notes_on_sampled_loop,
@@ -75,59 +75,90 @@ LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SIZE = Field[float]("size", float, ".5g")  # of a signal
 SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
-    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form)
+    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
     for what in ("peak", "rms")
     for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()
 )
 
 
-def energy_object(energy: Energy) -> dict[str, float | bool | None]:
-    """Returns an energy balance for JSON [J]; its residual is a share of `turnover`."""
-    numbers = {
-        name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
-    }
-    return numbers | {"balances": energy.balances if energy.judged else None}
+BALANCE = Record[Energy](
+    lambda one: {key: value for key, value in asdict(one).items() if key not in ("least", "loads") or value is not None},
+    balances=lambda one: one.balances if one.judged else None,
+)  # of energy [J]; its residual is a share of `turnover`
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
-def run_object(run: RunResult) -> dict[str, Any]:
-    """Returns a run as a JSON object: SI units, None for infinite or missing values."""
-    responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
-    agreement = run.agreement
-    return {
-        "controller": controller_object(run.controller),
-        "signals": {
-            name: {
-                "unit": run.vehicle.kind.signal(name).unit,
-                "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
-                "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)}
-                | ({"linearisation": finite(run.line_errors[name])} if name in run.line_errors else {}),
-            }
-            for name, signal in agreement.signals.items()
-        },
-        "until": finite(agreement.until),
-        "lift_off": [list(interval) for interval in agreement.lift_off],
-        "agrees": agreement.agrees,
-        "steps": _check_object(agreement.steps, "error", "allowed", "since", "until"),
-        "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
-        "cause": agreement.cause,
-        **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
-        **({"stops": stops_object(run)} if run.vehicle.limits.stopped else {}),
-        **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
-        **_decay_object(run),
-        **code_object(run.prediction.code_effect),
-        **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
-        **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
-    }
+def _check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
+    """Returns one of the two local checks as a value of a record, None if it is not made."""
+    return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
-def _line_object(run: RunResult) -> dict[str, Any] | None:
-    """Returns the largest error of the linearisation at equilibrium as a JSON object, or None if nothing is compared."""
+def _worst_line(run: RunResult) -> dict[str, Any] | None:
+    """Returns the largest error of the linearisation at equilibrium for JSON, or None if nothing is compared."""
     if not (errors := run.line_errors):
         return None
     worst = max(errors, key=errors.__getitem__)
-    return {"error": finite(errors[worst]), "signal": worst, "over": "peak in MuJoCo"}
+    return {"error": errors[worst], "signal": worst, "over": "peak in MuJoCo"}
+
+
+def _shortfall(run: RunResult) -> dict[str, Any]:
+    """Returns the force that semi-active dampers did not give, for JSON."""
+    from sim.runs.dampers import shortfalls
+
+    return {"shortfall": shortfalls(run.vehicle, run.physics)} if run.vehicle.dampers else {}
+
+
+def _decay(run: RunResult) -> dict[str, Any]:
+    """Returns the modes of a free decay for JSON; empty without a given start."""
+    if not run.vehicle.start:
+        return {}
+    from sim.runs.decay import record
+
+    return record(run)
+
+
+HALF_STEP = Record("difference", "signal")  # change by half the step after a lift-off
+SIGNAL = Record[tuple[RunResult, str]](
+    unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
+    peak=Record(*SIZES[:3]),
+    rms=Record(*SIZES[3:]),
+    error=Record(
+        sampled=lambda of: of[0].agreement.signals[of[1]].sampled,
+        continuous=lambda of: of[0].agreement.signals[of[1]].continuous,
+        linearisation=lambda of: of[0].line_errors.get(of[1], OMITTED),
+    ),
+)
+
+
+def controller_record(controller: AnyController) -> dict[str, Any]:
+    """Returns a controller for JSON; the linear claims of a law in Python are None."""
+    if controller.linear is False:
+        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
+    claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)
+    return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
+
+
+RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infinite values are None
+    Record[RunResult](
+        Record(
+            controller=lambda run: controller_record(run.controller),
+            signals=SIGNAL.all(lambda run: {name: (run, name) for name in run.agreement.signals}),
+            until="agreement.until",
+            lift_off="agreement.lift_off",
+            agrees="agreement.agrees",
+            steps=_check("agreement.steps", "error", "allowed", "since", "until"),
+            commands=_check("agreement.commands", "repeatable", "error", "allowed", "since"),
+            cause="agreement.cause",
+            reference=lambda run: run.prediction.reference if run.prediction.linearised else OMITTED,
+            linearisation=lambda run: _worst_line(run) if run.prediction.linearised else OMITTED,
+            stops=lambda run: STOPS(run) if run.vehicle.limits.stopped else OMITTED,
+            dampers=if_any(_shortfall),
+        ),
+        _decay,
+        code_difference=DIFFERENCES.all(lambda run: run.prediction.code_effect or OMITTED),
+        margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED,
+        energy=BALANCE.all(lambda run: run.energy or OMITTED),
+    )
+)
 
 
 def line_words(run: RunResult) -> str:
@@ -136,38 +167,6 @@ def line_words(run: RunResult) -> str:
         return ""
     off = max(errors.values())
     return f"off by {percent(off)} of a peak" if off < FAR_OFF else f"off by more than {FAR_OFF:g} times a peak"
-
-
-def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | bool | None] | None:
-    """Returns one of the two local checks as a JSON object, or None if it is not made."""
-    values = {name: getattr(one, name, None) for name in ("agrees", *names)}
-    return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
-
-
-def _dampers_object(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not give as a JSON object."""
-    from sim.runs.dampers import shortfalls
-
-    return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
-
-
-def half_step_object(run: RunResult) -> dict[str, Any] | None:
-    """Returns the change by half the step after a lift-off as a JSON object, or None if it is unknown."""
-    half_step = run.half_step
-    return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
-
-
-def controller_object(controller: AnyController) -> dict[str, Any]:
-    """Returns a controller for JSON; the linear claims of a law in Python are None."""
-    if controller.linear is False:
-        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
-    certificate = controller.certificate
-    return {
-        **controller.record,
-        **json_object((BOUND, NORM, PEAK), certificate),
-        "stability": certificate.stability.verdict,
-        **growth_object(controller),
-    }
 
 
 def energy_table(runs: Sequence[RunResult], where: str) -> Table:
@@ -501,15 +500,6 @@ def _decay_words(run: RunResult) -> list[str]:
     from sim.runs.decay import decay_words
 
     return [words] if (words := decay_words(run)) else []
-
-
-def _decay_object(run: RunResult) -> dict[str, Any]:
-    """Returns the modes of a free decay for JSON; empty without a given start."""
-    if not run.vehicle.start:
-        return {}
-    from sim.runs.decay import decay_object
-
-    return decay_object(run)
 
 
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:

@@ -11,7 +11,7 @@ from models.laws.semi_active import LAWS, SemiActive, SemiActiveLaw
 from models.roads.choice import choose_road
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.runs.report import controller_notes, controller_object, verdict
+from sim.runs.report import controller_notes, controller_record, verdict
 from sim.runs.run import run_controllers, sample_times
 from tests.models.test_semi_active_dampers import BUMP, DAMPER, HALF, QUARTER, check_physics
 from tests.support.analysed import simulate
@@ -74,8 +74,8 @@ def test_keys_change_a_law():
     (found,) = law.coefficients(np.array([[0.2, 0.1]]), numbers_of([law], [parse_vehicle(text)]))
     assert found == pytest.approx([4000.0])  # 2000 N s/m * 0.2 m/s over 0.1 m/s
     assert "sky_damping 2000" in controller_notes(parse_vehicle(text), controller)[0]
-    assert controller_object(controller)["sky_damping"] == 2000.0
-    assert controller_object(controller)["norm"] is None
+    assert controller_record(controller)["sky_damping"] == 2000.0
+    assert controller_record(controller)["norm"] is None
 
 
 def test_modes_are_corners():

@@ -5,7 +5,7 @@ import pytest
 
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle
-from sim.runs.report import run_object
+from sim.runs.report import RUN
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import Meter, measure
 from tests.models.test_semi_active_dampers import BOTH, DAMPER, QUARTER
@@ -46,7 +46,7 @@ def test_peak_and_rms_use_both_sides_of_a_decision(law, speed, peak_of, low):
     vehicle = parse_vehicle(f'{QUARTER}{DAMPER}[controllers.law]\nsemi_active = "{law}"\n')
     road, time = Bump(0.05, 5.0, speed), sample_times(vehicle, 0.8, 1e-3)
     (run,) = run_controllers(vehicle, [vehicle.controllers["law"].driver()], road, time)
-    signals, whole = run_object(run)["signals"], measure(vehicle, run.physics, 0)
+    signals, whole = RUN(run)["signals"], measure(vehicle, run.physics, 0)
     sides = integrated(LAWS[law], road, time)
     for name, exact in zip(("sprung_acceleration", "control_force"), np.moveaxis(sides, 2, 0), strict=True):
         peak, rms = np.abs(exact).max(), np.sqrt(np.mean((exact[:, :-1] ** 2 + exact[:, 1:] ** 2) / 2))
