@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from models.document.page import Page
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
-    from sim.report.contents import Report
-    from sim.report.worker_processes import WorkerPool
+    from sim.report.page import Report
+    from sim.report.processes import Processes
 
 
 EPILOG = """
@@ -65,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.names import named_files
-    from sim.report.contents import report_object
-    from sim.report.worker_processes import WorkerPool, processes
+    from sim.report.page import record
+    from sim.report.processes import Processes, processes
     from sim.studies.ride.standing import standing_lines
 
     check_page()
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        with WorkerPool(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
+        with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
             results[title] = _reported(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].compared})
     if len(subjects) > 1:
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     others, page = omitted_controllers(vehicle, options.controller, names), result.page
     older = _others(page, options.figures) if options.figures is not None else []
     if options.json:
-        whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
+        whole = {**record(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print_json(whole)
     else:
         left = ["other files in figures, left unchanged", *(Whole(f"  {name}") for name in older)] if older else []
@@ -137,7 +137,7 @@ def _outputs(
     options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]"
 ) -> "dict[str, dict[str, Path | None]]":
     """Returns page and folder of figures of every vehicle, by title."""
-    from sim.report.scope import file_stem
+    from sim.studies.subject import file_stem
 
     if len(subjects) == 1:
         ((title, (vehicle, _)),) = subjects.items()
@@ -157,12 +157,12 @@ def _several(
 ) -> int:
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import written, written_lines
-    from sim.report.contents import report_object
+    from sim.report.page import record
     from sim.studies.ride.standing import record_of_standings, standing_lines
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
-        whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
+        whole = {title: {**record(result), **written(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
         print_json({"reports": whole, "compared": record_of_standings(compared), **left})
     else:
@@ -176,17 +176,17 @@ def _reported(
     vehicle: "Vehicle",
     names: Sequence[str],
     loads: "tuple[Load, ...]",
-    pool: "WorkerPool",
+    pool: "Processes",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
     from models.vehicle.limits_and_implementation import steps_per_sample
     from sim.command.comparison import controllers_of, runnable, warn_invalid_certificates
-    from sim.report.contents import pieces_of, report, stages
-    from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Subject
+    from sim.report.page import report, stages
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
+    from sim.studies.registry import STUDIES, study
+    from sim.studies.subject import AMPLITUDE, BUMP_DURATION, Subject
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
@@ -200,15 +200,12 @@ def _reported(
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
         raise InputError(f"--{given[0]} needs a road; give --road or --class, or omit --{given[0]}")
-    if options.front is not None:
-        from sim.report.front import check_front
-
-        check_front(vehicle, options.front)
-    if loads:
-        loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
+    designer, own = Designer(vehicle), {"own_road": road, "road_name": name, "duration": duration}
+    scope = Subject(vehicle, designer, (), options.timestep, options.quick, (), options.front, loads, **own)
+    for one in map(study, STUDIES):
+        one.check_page(scope)
 
     show("designs")
-    designer = Designer(vehicle)
     controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
     if options.exported is not None:
         known = {one.name: one for one in controllers}
@@ -217,11 +214,9 @@ def _reported(
     warn_invalid_certificates(controllers)
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
-    own = {"own_road": road, "road_name": name, "duration": duration}
-    scope = Subject(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
-    stage = Stages(*stages(pieces_of(scope)), "the page")
-    scope = replace(scope, progress=stage)
-    result = report(scope, _about(vehicle.source), pool.begin)
+    scope = replace(scope, controllers=linear, laws=laws, exported=exported)
+    stage = Stages(*stages(scope), "the page")
+    result = report(scope, _about(vehicle.source), pool.begin, stage)
     stage("the page")
     _write(result.page, outputs)
     stage.end()
@@ -238,9 +233,9 @@ def _gallery(options: argparse.Namespace) -> int:
     from models.document.outputs import check_outputs, written, written_lines
     from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
-    from sim.studies.gallery.entries import names, read_entry
-    from sim.studies.gallery.numbers import compared
-    from sim.studies.gallery.report import record
+    from sim.studies.gallery.entries import names
+    from sim.studies.registry import study
+    from sim.studies.study import Request
 
     repeated = {
         name
@@ -253,17 +248,14 @@ def _gallery(options: argparse.Namespace) -> int:
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
         check_drawing()
-    stage, results = Stages(*names(), "the page"), []
-    for name in names():
-        stage(name)
-        entry = read_entry(name)
-        results.append((entry, compared(entry)))
+    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), Request(argparse.Namespace(name=[]))
+    results = gallery.run(request, stage)
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))
     _write(page, outputs)
     stage.end()
     if options.json:
-        print_json({**record(results), **written(outputs)})
+        print_json({**gallery.record(request, results), **written(outputs)})
     else:
         say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0

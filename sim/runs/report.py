@@ -101,10 +101,12 @@ def _worst_line(run: RunResult) -> dict[str, Any] | None:
 
 
 def _shortfall(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not give, for JSON."""
+    """Returns the force that semi-active dampers did not give, for JSON; empty without such dampers."""
+    if not run.vehicle.dampers:
+        return {}
     from sim.runs.dampers import shortfalls
 
-    return {"shortfall": shortfalls(run.vehicle, run.physics)} if run.vehicle.dampers else {}
+    return {"shortfall": shortfalls(run.vehicle, run.physics)}
 
 
 def _decay(run: RunResult) -> dict[str, Any]:
@@ -587,3 +589,9 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
     happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))
+
+
+def run_statements(runs: Sequence[RunResult], where: str) -> tuple[Statement, ...]:
+    """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
+    said = [(run.controller.name, one) for run in runs for one in reasons(run)]
+    return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))

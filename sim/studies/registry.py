@@ -1,24 +1,47 @@
-"""All studies: name -> module and class, in the order of their sections on a page. Commands know them from this table."""
+"""All studies: name -> module and class, purpose and main options; in the order of their sections on a page.
+
+Commands and pages know studies from this table. A study without a purpose is a section of a page, and no command.
+"""
 
 from functools import cache
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from models.common.lazy import named
-from sim.studies.study import Study
+
+if TYPE_CHECKING:
+    from sim.studies.study import Study
 
 STUDIES = {
-    "sweep": "sim.studies.frequency.command:SweepStudy",
-    "margins": "sim.studies.stability.command:MarginsStudy",
-    "envelope": "sim.studies.validity.command:EnvelopeStudy",
-    "gallery": "sim.studies.gallery.command:GalleryStudy",
+    "designs": ("sim.report.designs:DesignsStudy", "", ""),
+    "sweep": (
+        "sim.studies.frequency.command:SweepStudy",
+        "measure frequency responses and the H-infinity norm",
+        "--amplitude --picture",
+    ),
+    "response": ("sim.report.agreement:ResponseStudy", "", ""),
+    "agreement": ("sim.report.agreement:AgreementStudy", "", ""),
+    "ends": ("sim.studies.validity.command:EndsStudy", "", ""),
+    "margins": ("sim.studies.stability.command:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
+    "envelope": (
+        "sim.studies.validity.command:EnvelopeStudy",
+        "map the bumps over which linear analysis is valid",
+        "--vary --picture --csv",
+    ),
+    "ride": ("sim.studies.ride.over_roads:RideStudy", "", ""),
+    "workshop": ("sim.studies.frequency.command:WorkshopStudy", "", ""),
+    "loads": ("sim.studies.ride.loads:LoadsStudy", "", ""),
+    "exported": ("sim.report.exported:ExportedStudy", "", ""),
+    "front": ("sim.studies.frequency.command:FrontStudy", "", ""),
+    "paper": ("sim.report.designs:PaperStudy", "", ""),
+    "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
 }
 
 
 @cache
-def study(name: str) -> Study[Any]:
+def study(name: str) -> "Study[Any]":
     """Returns the study of a name."""
-    return named(STUDIES[name])()
+    return named(STUDIES[name][0])(name)
 
 
 def command_of(name: str) -> str:

@@ -42,23 +42,28 @@ class Request:
 
 
 class Study(Generic[R]):
-    """A study whose run has a result of type R. A command needs the first attributes; a part of the page alone needs none.
+    """A study whose run has a result of type R. A command needs the first attributes; a section of the page alone needs none.
 
     Attributes:
-        purpose: purpose of the command, in the table of commands; empty for a study that is no command.
-        main_options: options that a user needs first.
+        name: name in `STUDIES`.
         description, epilog: texts of `--help`; the epilog contains exit codes and examples.
         page: documentation of the printed output.
         takes: controllers that the command takes: "one" with a linear law, "several" of any kind, or "" without a vehicle.
         usual: controllers without `--controller`, if it takes several.
         stages: names of the parts of `run`, with which it calls `progress`.
+        seconds: rough time of the longest request of a page; a page begins long ones first.
     """
 
-    purpose = main_options = description = epilog = ""
+    description = epilog = ""
     page = "docs/which-command.md"
     takes: Literal["", "one", "several"] = "one"
     usual: tuple[str, ...] = ()
     stages: tuple[str, ...] = ()
+    seconds = 1.0
+
+    def __init__(self, name: str) -> None:
+        """Prepares the study of a name."""
+        self.name = name
 
     def add_options(self, parser: Parser) -> None:
         """Adds the options of the command. `--logs`, `--picture`, `--csv`, `--as` and `--json` have the usual meaning."""
@@ -122,15 +127,22 @@ class Study(Generic[R]):
         """Returns the runs of `--logs`, by their names in the log."""
         raise NotImplementedError
 
+    def check_page(self, scope: "Subject") -> None:
+        """Checks before any work that the section of a page is possible; raises an InputError."""
+
     def requests(self, scope: "Subject") -> Mapping[str, Any]:
         """Returns the requests of a page by subject: independent ones, each run in a process. Empty if the page has none."""
         return {}
 
+    def for_page(self, result: R) -> Any:
+        """Returns what the sections of a page need of a result. It comes from another process, so it must be picklable."""
+        return result
+
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
-        """Returns the sections of a page.
+        """Returns the sections of a page: by default the results, as of a study whose results are documents.
 
         Args:
             scope: subject of the page.
-            results: results of the requests of each study with some, by the study's name and subject.
+            results: results of the requests of every study on the page, by its name and their subjects.
         """
-        return ()
+        return [*results.get(self.name, {}).values()]

@@ -30,7 +30,7 @@ LOADED = {
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),
 }
-HELP = 26  # of our modules, for all the help pages together, beside one for each command
+HELP = 32  # of our modules, for all the help pages together, beside one for each command; studies have their options in another
 
 
 def loaded(code: str) -> set[str]:

@@ -44,8 +44,6 @@ class Responses:
 class SweepStudy(Study[Responses]):
     """Frequency responses and largest gains of some controllers."""
 
-    purpose = "measure frequency responses and the H-infinity norm"
-    main_options = "--amplitude --picture"
     description = "Measure frequency responses in MuJoCo and compare them with linear analysis."
     epilog = """
 Linear analysis does not apply to a control law in Python. The law is simulated over one sinusoid at a time, and the output
@@ -62,6 +60,7 @@ examples:
     page = "docs/how-to/sweep.md"
     takes = "several"
     usual = ("passive", "state", "I", "II")
+    seconds = 5.0
     stages = ("frequency responses", "norms", "laws in Python")  # LINES, EXTREMES and OWN of `sim.studies.frequency.sweep`
 
     def add_options(self, parser: Parser) -> None:
@@ -164,7 +163,7 @@ examples:
         request = self._request(scope, ())
         return [
             replace(section, blocks=(self.figure(request, found), *section.blocks))
-            for found in results["sweep"].values()
+            for found in results[self.name].values()
             for section in [self.describe(request, found)]
         ]
 
@@ -176,3 +175,23 @@ class WorkshopStudy(Study[None]):
         from sim.studies.frequency.report import workshop
 
         return [workshop(scope.vehicle, one.sweeps) for one in results.get("sweep", {}).values() if one.sweeps]
+
+
+class FrontStudy(Study["Document"]):
+    """Front of a trade-off, and its designs in MuJoCo on the sinusoid of each norm, on a page."""
+
+    seconds = 30.0
+
+    def check_page(self, scope: "Subject") -> None:
+        if scope.front is not None:
+            from sim.studies.frequency.trade_off import check_front
+
+            check_front(scope.vehicle, scope.front)
+
+    def requests(self, scope: "Subject") -> "Mapping[str, Subject]":
+        return {} if scope.front is None else {"": scope}
+
+    def run(self, request: "Subject", progress: Progress) -> "Document":
+        from sim.studies.frequency.trade_off import front_section
+
+        return front_section(request, progress)

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 class GalleryStudy(Study["list[Result]"]):
     """Numbers of entries of the gallery, compared."""
 
-    purpose = "compare with published results"
-    main_options = "NAME"
     description = "Compare published results on suspensions with the results of Roadproof."
     epilog = """
 Each row contains the published number, the number from linear analysis and, if a run measures it, the number from MuJoCo. A

@@ -2,7 +2,7 @@
 
 import math
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,6 @@ RECORDED = 4.0  # s, of a recorded run
 class MarginsStudy(Study["list[StabilityMargins]"]):
     """Margins of stability of a controller, or on a page of several."""
 
-    purpose = "find the gain, delay and sample-period margins"
-    main_options = "--picture"
     description = "Find the margins of a control loop for gain, phase, delay and sample period."
     epilog = """
 exit code: 0 prediction and MuJoCo agree; 1 they disagree, or the controller cannot be designed; 2 invalid input
@@ -40,6 +38,7 @@ examples:
 """
     page = "docs/how-to/margins.md"
     stages = ("margins",)
+    seconds = 10.0
 
     def add_options(self, parser: Parser) -> None:
         parser.add_one("state, or a controller of the vehicle file")
@@ -111,10 +110,10 @@ examples:
         options = Namespace(timestep=scope.margins_timestep, each_loop=False)
         return {"": Request(options, scope.vehicle, (), scope.active)} if scope.active and not scope.quick else {}
 
-    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
+    def for_page(self, result: "list[StabilityMargins]") -> "Document":
         from sim.studies.stability.report import compare
 
-        return [compare(found) for found in results["margins"].values()]
+        return compare(result)
 
 
 def _prompt(vehicle: "Vehicle") -> "Vehicle":

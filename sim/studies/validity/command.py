@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
     from sim.studies.subject import Subject
+    from sim.studies.validity.regime_end import RegimeEnd
     from sim.studies.validity.regime_map import Cells
 
 OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps on a page
@@ -28,8 +29,6 @@ OF_A_PAGE = ("height:0.02:0.3:20", "speed:3:30:20")  # axes of the maps on a pag
 class EnvelopeStudy(Study["Cells"]):
     """Map of validity of a controller, or on a page a map of each active controller."""
 
-    purpose = "map the bumps over which linear analysis is valid"
-    main_options = "--vary --picture --csv"
     description = "Map the bumps over which linear analysis is valid, and the limits that end it."
     epilog = """
 exit code: 0 MuJoCo first reaches the limit that linear analysis predicts; 1 it first reaches another limit, or the controller
@@ -42,6 +41,7 @@ examples:
 """
     page = "docs/how-to/envelope.md"
     stages = ("map",)
+    seconds = 8.0
 
     def add_options(self, parser: Parser) -> None:
         parser.add_one("passive, state, or a controller of the vehicle file")
@@ -157,8 +157,36 @@ examples:
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
         from sim.studies.validity.report import compare_maps
 
-        maps = [results["envelope"][one.name] for one in scope.active if one.name in results["envelope"]]
+        maps = [results[self.name][one.name] for one in scope.active if one.name in results[self.name]]
         return [compare_maps(maps, scope.map_timestep, scope.noise_qualifier)] if maps else []
+
+
+class EndsStudy(Study["list[RegimeEnd | None]"]):
+    """Height of a bump up to which linear analysis is valid, for each stable controller, on a page."""
+
+    def requests(self, scope: "Subject") -> "Mapping[str, Subject]":
+        return {"": scope} if scope.stable else {}
+
+    def run(self, request: "Subject", progress: Progress) -> "list[RegimeEnd | None]":
+        from models.roads.road import Bump
+        from sim.runs.run import sample_times
+        from sim.studies.frequency.identification import ideal_measurements
+        from sim.studies.subject import BUMP_DURATION
+        from sim.studies.validity.regime_end import regime_ends
+
+        time = sample_times(request.vehicle, BUMP_DURATION, request.timestep)
+        return regime_ends(ideal_measurements(request.vehicle), request.stable, Bump(), time)
+
+    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
+        from models.roads.road import Bump
+        from sim.studies.subject import BUMP_DURATION
+        from sim.studies.validity.report import describe_ends
+
+        runs = f"{BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
+        return [
+            describe_ends(scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing, Bump(), scope.where, runs)
+            for ends in results[self.name].values()
+        ]
 
 
 def _map_of(request: Request) -> "tuple[list[Bump], Array, tuple[Load, ...]]":
