@@ -12,27 +12,20 @@ from models.common.lazy import named
 if TYPE_CHECKING:
     from sim.studies.study import Study
 
+FREQUENCY, VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
 STUDIES = {
     "designs": ("sim.report.designs:DesignsStudy", "", ""),
-    "sweep": (
-        "sim.studies.frequency.command:SweepStudy",
-        "measure frequency responses and the H-infinity norm",
-        "--amplitude --picture",
-    ),
+    "sweep": (f"{FREQUENCY}:SweepStudy", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
     "response": ("sim.report.agreement:ResponseStudy", "", ""),
     "agreement": ("sim.report.agreement:AgreementStudy", "", ""),
-    "ends": ("sim.studies.validity.command:EndsStudy", "", ""),
+    "ends": (f"{VALIDITY}:EndsStudy", "", ""),
     "margins": ("sim.studies.stability.command:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
-    "envelope": (
-        "sim.studies.validity.command:EnvelopeStudy",
-        "map the bumps over which linear analysis is valid",
-        "--vary --picture --csv",
-    ),
+    "envelope": (f"{VALIDITY}:EnvelopeStudy", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
     "ride": ("sim.studies.ride.over_roads:RideStudy", "", ""),
-    "workshop": ("sim.studies.frequency.command:WorkshopStudy", "", ""),
+    "workshop": (f"{FREQUENCY}:WorkshopStudy", "", ""),
     "loads": ("sim.studies.ride.loads:LoadsStudy", "", ""),
     "exported": ("sim.report.exported:ExportedStudy", "", ""),
-    "front": ("sim.studies.frequency.command:FrontStudy", "", ""),
+    "front": (f"{FREQUENCY}:FrontStudy", "", ""),
     "paper": ("sim.report.designs:PaperStudy", "", ""),
     "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
 }

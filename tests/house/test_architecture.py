@@ -65,8 +65,9 @@ ROOMS = {
     "models.roads synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers",
     "sim.recording": "models.document models.kinds models.vehicle models.roads synth.analysis synth.controller "
     "sim.drive sim.linear sim.observers sim.runs",
-    "sim.studies": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
-    "synth.plant synth.analysis synth.controller synth.design synth.vehicle synth.command sim.drive sim.linear sim.observers sim.runs",
+    "sim.studies": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
+    "models.roads synth.plant synth.analysis synth.controller synth.design synth.vehicle synth.command sim.drive sim.linear "
+    "sim.observers sim.runs",
     "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.recording sim.studies",
     "sim.bump": "models.vehicle models.roads sim.command",

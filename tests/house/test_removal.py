@@ -12,6 +12,7 @@ from models.laws.design_methods import METHODS
 from models.parts.registry import PARTS
 from sim.drive.drivers.registry import DRIVERS
 from sim.observers.registry import OBSERVERS
+from sim.studies.registry import STUDIES
 from sim.studies.ride.registry import METRICS
 from tests.support.commands import ROOT, in_the_suite
 from tests.support.sources import sources
@@ -21,10 +22,16 @@ REGISTRIES = {
     "sim/drive/drivers/registry.py": DRIVERS,
     "sim/observers/registry.py": OBSERVERS,
     "models/laws/design_methods.py": METHODS,
+    "sim/studies/registry.py": {name: where for name, (where, *_) in STUDIES.items()},
 }
 BUMP = 'from sim.bump import main; sys.exit(main("--controller passive --duration 0.2 --no-logs".split()))', "agrees"
 USE = {  # what works without a module, and prints; the passive vehicle, which each command drives, has a linear law
     "models/laws/design_methods.py": ('from synth.__main__ import main; sys.exit(main(["--controller", "I"]))', "7.843188"),
+    "sim/studies/registry.py": (
+        "from sim.report.__main__ import main; from sim.__main__ import table; print(*table()); "
+        "sys.exit(main('--quick --controller passive --timestep 0.005 --out page.html'.split()))",
+        "agrees",
+    ),
     "sim.drive.drivers.linear": (
         "from models import Bump, read_vehicle\nfrom sim import run\n"
         "print(*run(read_vehicle('quarter_car'), lambda y, state: (-2e3 * y['sprung_velocity'], state), Bump(0.05), 0.2))",
@@ -86,6 +93,7 @@ def test_only_the_registry_names_a_module(file):
 
 WITHOUT_METRIC = """
 import importlib, pathlib, sys
+from sim.studies.registry import STUDIES
 from sim.studies.ride.registry import METRICS
 assert sys.argv[1] not in METRICS
 for path in sorted(pathlib.Path("sim").rglob("*.py")):
