@@ -1,6 +1,6 @@
 """A quantity of a result: what it is called, its unit and digits, and its key in JSON. All outputs read it here.
 
-A table has the quantities as columns, and a `Record` has them as a JSON object.
+The quantities are the columns of a table, and the values of a `Record`.
 """
 
 import math

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from models.common.command import Parser, chosen, one_chosen, print_json, remarked
 from models.common.printed import Stages, say
 from sim.studies.registry import command_of, study
-from sim.studies.study import Request
+from sim.studies.study import StudyRequest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +30,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     from sim.command.comparison import left_out_object, log_lines, recorded, warn_invalid_certificates
     from sim.command.road_options import left_out_lines, omitted_controllers
 
-    given, request, several = None, Request(options), one.takes == "several"
+    given, request, several = None, StudyRequest(options), one.takes == "several"
     if one.takes:
         from models.vehicle.vehicle import read_vehicle
 
@@ -74,7 +74,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     return 0 if one.holds(result) and len(driven) == len(request.names) else 1
 
 
-def _designed(request: Request, several: bool) -> "Sequence[AnyController]":
+def _designed(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
     """Returns the requested controllers: several of any kind, or the single one of a study that needs a linear law."""
     from sim.command.comparison import controllers_of, runnable
     from synth.vehicle.designer import Designer

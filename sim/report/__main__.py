@@ -235,7 +235,7 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names
     from sim.studies.registry import study
-    from sim.studies.study import Request
+    from sim.studies.study import StudyRequest
 
     repeated = {
         name
@@ -248,7 +248,7 @@ def _gallery(options: argparse.Namespace) -> int:
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
         check_drawing()
-    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), Request(argparse.Namespace(name=[]))
+    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), StudyRequest(argparse.Namespace(name=[]))
     results = gallery.run(request, stage)
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))

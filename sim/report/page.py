@@ -77,7 +77,7 @@ def requests_of(scope: Subject) -> dict[Name, Any]:
 
 def stages(scope: Subject) -> tuple[str, ...]:
     """Returns the stages of a page in their order."""
-    return RUNS, *dict.fromkeys(name for name, _ in requests_of(scope))
+    return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
 
 
 def _compared(scope: Subject, over_roads: Sequence[Standing]) -> list[Standing]:

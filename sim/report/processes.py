@@ -14,13 +14,13 @@ from models.common.threads import cores
 if TYPE_CHECKING:  # it imports nearly everything, which children begin to import before this process does
     from sim.studies.study import Progress
 
-MOST = 4  # processes: more of them would wait for the longest request
+MOST = 3  # processes: more of them would wait for the longest request
 Name = tuple[str, str]  # of a request: its study, and its subject there
 
 
 def processes(quick: bool) -> int:
     """Returns the number of worthwhile processes: 0 on one core, and for a quick report, which takes as long as their imports."""
-    return 0 if quick or cores() < 2 else min(cores(), MOST)
+    return 0 if quick else min(cores() - 1, MOST)
 
 
 class Processes:
@@ -51,20 +51,29 @@ class Processes:
         """Begins requests in their order.
 
         Returns:
-            Function that returns all results by name. It runs here what no process completes.
+            Function that returns all results by name. It runs here what no process has begun, from the last request on, and what
+            a process did not complete.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._pool is not None:
             futures = {name: self._pool.submit(_run, name[0], request) for name, request in requests.items()}
 
-        def result(name: Name) -> Any:
+        def here(name: Name) -> Any:
+            progress(name[0])
+            return _run(name[0], requests[name], progress)
+
+        def elsewhere(name: Name) -> Any:
             progress(name[0])
             try:
-                return futures[name].result() if name in futures else _run(name[0], requests[name], progress)
+                return futures[name].result()
             except BrokenProcessPool:
-                return _run(name[0], requests[name], progress)
+                return here(name)
 
-        return lambda: {name: result(name) for name in requests}
+        def results() -> dict[Name, Any]:
+            found = {name: here(name) for name in reversed(requests) if name not in futures or futures[name].cancel()}
+            return found | {name: elsewhere(name) for name in reversed(requests) if name not in found}
+
+        return results
 
 
 def _run(name: str, request: Any, progress: "Progress" = lambda text: None) -> Any:

@@ -25,7 +25,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class StudyRequest:
     """What a study is run for.
 
     Attributes:
@@ -77,29 +77,29 @@ class Study(Generic[R]):
         """Returns the vehicle of a file that is studied."""
         return given.with_common_actuators(names)
 
-    def check(self, request: Request) -> None:
+    def check(self, request: StudyRequest) -> None:
         """Checks the options before any work; raises an InputError."""
 
-    def check_controllers(self, request: Request) -> None:
+    def check_controllers(self, request: StudyRequest) -> None:
         """Checks the designed controllers before the run; raises an InputError."""
 
     def run(self, request: Any, progress: Progress) -> R:
         """Returns the result."""
         raise NotImplementedError
 
-    def describe(self, request: Request, result: R) -> "Document":
+    def describe(self, request: StudyRequest, result: R) -> "Document":
         """Returns the result as a document."""
         raise NotImplementedError
 
-    def record(self, request: Request, result: R) -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: R) -> dict[str, Any]:
         """Returns the result as a JSON object."""
         raise NotImplementedError
 
-    def title(self, request: Request, result: R) -> str:
+    def title(self, request: StudyRequest, result: R) -> str:
         """Returns the first line of the printed result."""
         return f"{request.vehicle.kind.name} with {', '.join(one.name for one in request.controllers)}"
 
-    def lines(self, request: Request, result: R, files: Sequence[str]) -> list[str]:
+    def lines(self, request: StudyRequest, result: R, files: Sequence[str]) -> list[str]:
         """Returns the printed lines; `files` are the lines on written files."""
         from models.document.text import text_lines
 
@@ -111,7 +111,7 @@ class Study(Generic[R]):
         """Returns True if the exit code is 0."""
         return True
 
-    def figure(self, request: Request, result: R) -> "Figure":
+    def figure(self, request: StudyRequest, result: R) -> "Figure":
         """Returns the figure of `--picture`."""
         raise NotImplementedError
 
@@ -123,7 +123,7 @@ class Study(Generic[R]):
         """Returns the vehicle whose text is in the logs."""
         return given
 
-    def runs(self, request: Request, result: R) -> "Mapping[str, Run]":
+    def runs(self, request: StudyRequest, result: R) -> "Mapping[str, Run]":
         """Returns the runs of `--logs`, by their names in the log."""
         raise NotImplementedError
 

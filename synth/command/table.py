@@ -388,5 +388,5 @@ DESIGNED = Record[Row](
 
 
 def record(row: Row) -> dict[str, Any]:
-    """Returns a row as a JSON object in SI units: a design, or the reason why there is none."""
+    """Returns a row as a JSON object in SI units: a design, or the reason why the design failed."""
     return DESIGNED(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}

@@ -10,7 +10,7 @@ from models import USUAL_TIMESTEP
 from models.common.command import Parser
 from models.common.errors import InputError
 from models.common.printed import titled
-from sim.studies.study import Progress, Request, Study
+from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.document.document import Document
@@ -75,14 +75,14 @@ examples:
         )
         parser.add_printed("errors of each signal, invariants, sampled norms and EUSAMA's minimum loads")
 
-    def check(self, request: Request) -> None:
+    def check(self, request: StudyRequest) -> None:
         options, vehicle = request.options, request.vehicle
         if not 1e-3 <= options.speed <= 1e3:
             raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
         if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
             raise InputError(f"--speed affects only rear wheels, but a {vehicle.kind.name} has no rear wheels; omit --speed")
 
-    def run(self, request: Request, progress: Progress) -> Responses:
+    def run(self, request: StudyRequest, progress: Progress) -> Responses:
         from sim.linear.nonlinear_elements import at_rest
         from sim.studies.frequency.describing_function import describing_function
         from sim.studies.frequency.identification import identify
@@ -98,19 +98,19 @@ examples:
         own = [describing_function(vehicle, one, *how) for one in request.controllers if not one.linear]
         return Responses([one.lines for one in sweeps], sweeps, own)
 
-    def describe(self, request: Request, result: Responses) -> "Document":
+    def describe(self, request: StudyRequest, result: Responses) -> "Document":
         from sim.studies.frequency.report import describe
 
         options = request.options
         return describe(request.vehicle, result.lines, result.sweeps, result.own, options.amplitude, options.timestep)
 
-    def record(self, request: Request, result: Responses) -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: Responses) -> dict[str, Any]:
         from sim.studies.frequency.sweep import record
 
         options = {key: getattr(request.options, key) for key in ("amplitude", "timestep", "speed")}
         return {"sweeps": [record(one) for one in result.each(request.names)], **options}
 
-    def lines(self, request: Request, result: Responses, files: Sequence[str]) -> list[str]:
+    def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
         from models.document.text import text_lines
         from sim.studies.frequency.report import workshop
 
@@ -127,7 +127,7 @@ examples:
 
         return all(map(holds, (*result.sweeps, *result.own)))
 
-    def figure(self, request: Request, result: Responses) -> "Figure":
+    def figure(self, request: StudyRequest, result: Responses) -> "Figure":
         from models.document.figure import styles
         from sim.studies.frequency.figure import sweep_figure
 
@@ -135,7 +135,7 @@ examples:
         known = getattr(options, "styles", None) or styles(tuple(request.names))
         return sweep_figure(request.vehicle, result.lines, options.timestep, options.speed, known, result.own)
 
-    def runs(self, request: Request, result: Responses) -> "dict[str, Run]":
+    def runs(self, request: StudyRequest, result: Responses) -> "dict[str, Run]":
         """Returns the run of every controller on its worst sinusoid, from rest."""
         from models.roads.sinusoids import sinusoid
         from sim.runs.run import run_controllers, sample_times
@@ -149,15 +149,15 @@ examples:
             (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
         return runs
 
-    def requests(self, scope: "Subject") -> Mapping[str, Request]:
+    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
         controllers = scope.stable if scope.quick else [*scope.stable, *scope.laws]
         return {"": self._request(scope, controllers)} if controllers else {}
 
-    def _request(self, scope: "Subject", controllers: Sequence[Any]) -> Request:
+    def _request(self, scope: "Subject", controllers: Sequence[Any]) -> StudyRequest:
         from sim.studies.subject import AMPLITUDE
 
         how = {"amplitude": AMPLITUDE, "timestep": scope.timestep, "speed": scope.speed, "styles": scope.styles}
-        return Request(Namespace(**how, lines_alone=scope.quick), scope.vehicle, (), controllers)
+        return StudyRequest(Namespace(**how, lines_alone=scope.quick), scope.vehicle, (), controllers)
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
         request = self._request(scope, ())

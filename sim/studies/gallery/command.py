@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser
-from sim.studies.study import Progress, Request, Study
+from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.document.document import Document
@@ -35,7 +35,7 @@ examples:
         printed.add_argument("--brief", action="store_true", help="print one line for each entry")
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
-    def run(self, request: Request, progress: Progress) -> "list[Result]":
+    def run(self, request: StudyRequest, progress: Progress) -> "list[Result]":
         from sim.studies.gallery.entries import names, read_entry
         from sim.studies.gallery.numbers import compared
 
@@ -45,18 +45,18 @@ examples:
             results.append((entry, compared(entry)))
         return results
 
-    def describe(self, request: Request, result: "list[Result]") -> "Document":
+    def describe(self, request: StudyRequest, result: "list[Result]") -> "Document":
         from models.document.document import Document
         from sim.studies.gallery.report import describe, summary
 
         return Document("", (*(describe(*each) for each in result), summary(result)))
 
-    def record(self, request: Request, result: "list[Result]") -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: "list[Result]") -> dict[str, Any]:
         from sim.studies.gallery.report import record
 
         return record(result)
 
-    def lines(self, request: Request, result: "list[Result]", files: Sequence[str]) -> list[str]:
+    def lines(self, request: StudyRequest, result: "list[Result]", files: Sequence[str]) -> list[str]:
         from models.document.text import text_lines
 
         return text_lines(self.describe(request, result), "brief" if request.options.brief else "normal")

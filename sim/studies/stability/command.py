@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.command import Parser
 from models.common.errors import InputError
 from sim.studies.stability import TIMESTEP
-from sim.studies.study import Progress, Request, Study
+from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.document.document import Document
@@ -50,33 +50,37 @@ examples:
         )
         parser.add_printed("each loop")
 
-    def check_controllers(self, request: Request) -> None:
+    def check(self, request: StudyRequest) -> None:
         from sim.linear.nonlinear_elements import at_rest
         from sim.runs.run import sample_times
         from sim.studies.stability.margin_search import LONGEST
 
-        vehicle, timestep = at_rest(request.vehicle), request.options.timestep
-        sample_times(vehicle, LONGEST, timestep)
-        for one in request.controllers:
-            check_loop(_prompt(vehicle), vehicle, one, timestep)
+        sample_times(at_rest(request.vehicle), LONGEST, request.options.timestep)
 
-    def run(self, request: Request, progress: Progress) -> "list[StabilityMargins]":
+    def check_controllers(self, request: StudyRequest) -> None:
+        from sim.linear.nonlinear_elements import at_rest
+
+        vehicle = at_rest(request.vehicle)
+        for one in request.controllers:
+            check_loop(_prompt(vehicle), vehicle, one, request.options.timestep)
+
+    def run(self, request: StudyRequest, progress: Progress) -> "list[StabilityMargins]":
         from sim.studies.stability.study import stability_margins
 
         options = request.options
         each_loop = getattr(options, "each_loop", True)
         return stability_margins(request.vehicle, request.controllers, options.timestep, progress, each_loop)
 
-    def describe(self, request: Request, result: "list[StabilityMargins]") -> "Document":
+    def describe(self, request: StudyRequest, result: "list[StabilityMargins]") -> "Document":
         from sim.studies.stability.report import describe
 
         return describe(result[0])
 
-    def title(self, request: Request, result: "list[StabilityMargins]") -> str:
+    def title(self, request: StudyRequest, result: "list[StabilityMargins]") -> str:
         name = request.names[0]
         return f"{request.vehicle.kind.name} with controller {name}; MuJoCo at {request.options.timestep:g} s"
 
-    def record(self, request: Request, result: "list[StabilityMargins]") -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: "list[StabilityMargins]") -> dict[str, Any]:
         from sim.studies.stability.report import record
 
         return record(result[0])
@@ -84,7 +88,7 @@ examples:
     def holds(self, result: "list[StabilityMargins]") -> bool:
         return all(one.agrees for one in result)
 
-    def figure(self, request: Request, result: "list[StabilityMargins]") -> "Figure":
+    def figure(self, request: StudyRequest, result: "list[StabilityMargins]") -> "Figure":
         from sim.studies.stability.figure import margins_figure
 
         return margins_figure(result[0])
@@ -92,7 +96,7 @@ examples:
     def recorded_vehicle(self, given: "Vehicle") -> "Vehicle":
         return _prompt(given)
 
-    def runs(self, request: Request, result: "list[StabilityMargins]") -> "dict[str, Run]":
+    def runs(self, request: StudyRequest, result: "list[StabilityMargins]") -> "dict[str, Run]":
         """Returns the run that still decays and the one that grows; without a delay margin, the longest delay tried."""
         from models.vehicle.limits_and_implementation import Implementation
         from sim.runs.run import run_controllers, sample_times
@@ -106,9 +110,9 @@ examples:
             (runs[f"{request.names[0]}_{samples}_samples_late"],) = run_controllers(delayed, request.controllers, BUMP, time)
         return runs
 
-    def requests(self, scope: "Subject") -> Mapping[str, Request]:
+    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
         options = Namespace(timestep=scope.margins_timestep, each_loop=False)
-        return {"": Request(options, scope.vehicle, (), scope.active)} if scope.active and not scope.quick else {}
+        return {"": StudyRequest(options, scope.vehicle, (), scope.active)} if scope.active and not scope.quick else {}
 
     def for_page(self, result: "list[StabilityMargins]") -> "Document":
         from sim.studies.stability.report import compare

@@ -9,7 +9,7 @@ from models import USUAL_TIMESTEP
 from models.common.command import Parser, remarked
 from models.common.errors import InputError
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED, LOAD_SYNTAX, PLUS
-from sim.studies.study import Progress, Request, Study
+from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -68,7 +68,7 @@ examples:
         """Returns the vehicle at rest, where it meets the bumps of the map."""
         return given.with_common_actuators(names).starting()
 
-    def check(self, request: Request) -> None:
+    def check(self, request: StudyRequest) -> None:
         from models.roads.road import LOWEST
         from sim.studies.validity.map_runs import loaded
 
@@ -86,7 +86,7 @@ examples:
             )
         loaded(bumps[0], loads).check(request.vehicle, time)
 
-    def run(self, request: Request, progress: Progress) -> "Cells":
+    def run(self, request: StudyRequest, progress: Progress) -> "Cells":
         from sim.studies.validity.regime_map import validity
 
         options, (bumps, time, loads) = request.options, _map_of(request)
@@ -97,17 +97,17 @@ examples:
 
         return validity(request.vehicle, request.controllers[0], bumps, time, done, loads, options.every_cell, options.threshold)
 
-    def describe(self, request: Request, result: "Cells") -> "Document":
+    def describe(self, request: StudyRequest, result: "Cells") -> "Document":
         from sim.studies.validity.report import describe
 
         return describe(result)
 
-    def record(self, request: Request, result: "Cells") -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: "Cells") -> dict[str, Any]:
         from sim.studies.validity.report import RECORD
 
         return RECORD(result) | ({"loads": request.options.loads} if request.options.loads else {})
 
-    def title(self, request: Request, result: "Cells") -> str:
+    def title(self, request: StudyRequest, result: "Cells") -> str:
         under = f", under {PLUS.join(load.label for load in result.loads)}" if result.loads else ""
         name = result.controller.name
         return f"{request.vehicle.kind.name} with controller {name}, over {len(result.bumps)} bumps{under}"
@@ -115,7 +115,7 @@ examples:
     def holds(self, result: "Cells") -> bool:
         return result.as_predicted
 
-    def figure(self, request: Request, result: "Cells") -> "Figure":
+    def figure(self, request: StudyRequest, result: "Cells") -> "Figure":
         from sim.studies.validity.report import envelope_figure
 
         return envelope_figure(result)
@@ -125,7 +125,7 @@ examples:
 
         write_csv(path, result)
 
-    def runs(self, request: Request, result: "Cells") -> "dict[str, Run]":
+    def runs(self, request: StudyRequest, result: "Cells") -> "dict[str, Run]":
         """Runs the cell nearest to an event among those without a predicted one, and the mildest cell of each predicted event."""
         import numpy as np
 
@@ -143,7 +143,7 @@ examples:
                 nearest[f"{result.controller.name}_{what}".replace(" ", "_").replace("-", "_")] = run
         return nearest
 
-    def requests(self, scope: "Subject") -> Mapping[str, Request]:
+    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
         from sim.studies.frequency.identification import ideal_measurements
         from sim.studies.subject import BUMP_DURATION
 
@@ -152,7 +152,7 @@ examples:
         vehicle, step = ideal_measurements(scope.vehicle), scope.map_timestep
         usual = {"length": BUMP_LENGTH, "loads": (), "every_cell": False, "threshold": 0.05, "given": set()}
         options = Namespace(vary=OF_A_PAGE, duration=BUMP_DURATION, timestep=step, height=None, speed=None, **usual)
-        return {one.name: Request(options, vehicle, (), [one]) for one in scope.active}
+        return {one.name: StudyRequest(options, vehicle, (), [one]) for one in scope.active}
 
     def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "Sequence[Document]":
         from sim.studies.validity.report import compare_maps
@@ -189,7 +189,7 @@ class EndsStudy(Study["list[RegimeEnd | None]"]):
         ]
 
 
-def _map_of(request: Request) -> "tuple[list[Bump], Array, tuple[Load, ...]]":
+def _map_of(request: StudyRequest) -> "tuple[list[Bump], Array, tuple[Load, ...]]":
     """Returns the bumps, the sample times of a run over each [s] and the loads that options request.
 
     Raises:

@@ -97,7 +97,7 @@ CLAIM = Record[AxisValue]("value", "proved", frequency="at")
 DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.gain"), *NUMBERS)
 
 
-def _design(front: Front, point: Point, **named: Any) -> dict[str, Any]:
+def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
     """Returns a design for JSON, with its norm on every axis, after some values."""
     axes = zip(front.axes, point.norms, strict=True)
     return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
