@@ -5,24 +5,25 @@ if __name__ == "__main__":
 
     run("sim.__main__")
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from models.common.command import Parser, versions
 from models.common.errors import InputError, listing
+from models.common.extensions import STUDIES
+from sim.studies.registry import command_of
 
-COMMANDS = (  # name, its purpose, the options that one reaches for first
+OWN = {name: texts for name, texts in STUDIES.texts.items() if texts}
+COMMANDS = (  # name as after `python -m`, its purpose, the options that one reaches for first
     ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
     ("sim.drive", "drive over any road and measure the ride", "--class --road --speed"),
-    ("sim.sweep", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
-    ("sim.margins", "find the gain, delay and sample-period margins", "--picture"),
-    ("sim.envelope", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
+    *((command_of(name), *texts) for name, texts in OWN.items()),
     ("sim.campaign", "simulate thousands of roads and vehicles", "--best --results --verify"),
     ("sim.report", "write a one-page report about a vehicle file", "--out --quick --figures"),
-    ("sim.gallery", "compare with published results", "NAME"),
     ("sim.inspect", "recompute a logged run and check its results", "--csv --kinds"),
 )
 EPILOG = """
@@ -36,7 +37,7 @@ examples:
   roadproof bump --help
 """
 PACKAGES = ("synth", "sim.drive", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
-VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
+VERBS = {re.split("[. ]", name)[-1]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         roadproof()
     if words and not words[0].startswith("-"):
         raise InputError(f"unknown command {words[0]!r}; the commands are {listing(VERBS)}")
-    parser = Parser("sim", "\n".join(table()), EPILOG)
+    parser = Parser("sim", "\n".join(table()), EPILOG, "docs/which-command.md")
     parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and its packages")
     options = parser.parse_args(arguments)
     if options.version:
@@ -75,6 +76,8 @@ def roadproof() -> NoReturn:
 
     Parser.by_verb = True
     if len(sys.argv) > 1 and sys.argv[1] in VERBS:
-        command = VERBS[sys.argv.pop(1)]
+        command = VERBS[verb := sys.argv.pop(1)]
+        if verb in OWN and " " in command:
+            run("sim.command.study", verb)
         run(f"{command}.__main__" if command in PACKAGES else command)
     run("sim.__main__")

@@ -18,7 +18,7 @@ GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone
 ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-def run(command: str) -> "NoReturn":
+def run(command: str, *arguments: str) -> "NoReturn":
     """Runs `main` of a command's module and exits with the code that it returns.
 
     An exception also ends the command: 2 for bad input, 1 for a failed design, 130 for Ctrl-C, else 1. After Ctrl-C, every
@@ -27,6 +27,7 @@ def run(command: str) -> "NoReturn":
 
     Args:
         command: full name of the module, such as `sim.bump`.
+        arguments: arguments of its `main`.
     """
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
@@ -51,7 +52,7 @@ def run(command: str) -> "NoReturn":
             warnings.simplefilter("ignore", RuntimeWarning)  # of numpy: the command says in words what overflows
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
             reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
-        code = importlib.import_module(command).main()
+        code = importlib.import_module(command).main(*arguments)
         importlib.import_module("models.common.printed").show("")  # no thread counts seconds any more
         if sys.stdout:  # closed, as in `>&-`, it is None
             sys.stdout.flush()

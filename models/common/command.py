@@ -38,7 +38,6 @@ def _versions() -> dict[str, str]:
 
 
 ALL = "all"  # instead of a controller's name
-PAGES = {"sim": "docs/which-command.md", "sim.gallery": "docs/explanation/verification.md"}  # of commands without a how-to page
 
 
 class Parser(argparse.ArgumentParser):
@@ -46,9 +45,9 @@ class Parser(argparse.ArgumentParser):
 
     by_verb = False  # True for `roadproof VERB`: help and errors then name the command like this
 
-    def __init__(self, prog: str, description: str, epilog: str) -> None:
+    def __init__(self, prog: str, description: str, epilog: str, page: str = "") -> None:
         self.module = prog
-        self.page = PAGES.get(prog, f"docs/how-to/{prog.rpartition('.')[2]}.md")
+        self.page = page or f"docs/how-to/{prog.rpartition('.')[2]}.md"
         super().__init__(
             prog=self._called(f"python -m {prog}"),
             description=_page(description),
@@ -67,7 +66,7 @@ class Parser(argparse.ArgumentParser):
 
     def _called(self, text: str) -> str:
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
-        return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
+        return re.sub(r"python -m (sim$|sim[. ])?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the known and the unknown options; refuses a value that belongs to no option, such as a part of a name."""
@@ -103,7 +102,7 @@ class Parser(argparse.ArgumentParser):
         _remarks.clear()
         start = namespace or argparse.Namespace()
         start.given = set()
-        start.command_line = shlex.join(["python", "-m", self.module, *args])
+        start.command_line = shlex.join(["python", "-m", *self.module.split(), *args])
         return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
@@ -184,6 +183,17 @@ class Parser(argparse.ArgumentParser):
         if brief:
             printed.add_argument("--brief", action="store_true", help=brief)
         printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+    def add_exported(
+        self, what: str = "run the controller as compiled code from this folder, which python -m synth --export wrote"
+    ) -> None:
+        """Adds `--as`."""
+        self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)
+
+    def add_loads(self, what: str, syntax: str) -> None:
+        """Adds `--load`, which may be repeated, with the syntax of loads in its help."""
+        meaning = f"{what}; may be repeated, then all loads act together: {syntax}"
+        self.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
     def add_gone(self, option: str, instead: str) -> None:
         """Refuses an option that is gone, with what to do instead."""

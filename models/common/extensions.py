@@ -14,15 +14,17 @@ from models.common.lazy import named
 class Registry(dict[str, str]):
     """Extensions of one sort: the "module:attribute" of each, or its module, by name.
 
-    The order of names is that of columns and messages.
+    The order of names is that of columns, sections and messages.
 
     Attributes:
         sort: noun for one of these extensions, for messages.
+        texts: what else their rows have, for help pages.
     """
 
-    def __init__(self, sort: str, rows: Mapping[str, str]) -> None:
-        super().__init__(rows)
-        self.sort = sort
+    def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]]) -> None:
+        each = {name: (row,) if isinstance(row, str) else row for name, row in rows.items()}
+        super().__init__({name: row[0] for name, row in each.items()})
+        self.sort, self.texts = sort, {name: row[1:] for name, row in each.items()}
 
     def load(self, name: str) -> Any:
         """Returns what a name stands for; its module is imported now.
@@ -36,7 +38,8 @@ class Registry(dict[str, str]):
 
 
 _STANDARD = "sim.studies.ride.kinds.standard"
-_ROWS = {
+_FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
+_ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
     "part": {  # a class, see `models.parts.part`
         "stop": "models.parts.stop:Stops",
         "spring": "models.parts.spring:SpringCurve",
@@ -173,6 +176,22 @@ _ROWS = {
         "energy": f"{_STANDARD}:ControlEnergy",
         "at_stops": f"{_STANDARD}:AtStops",
     },
+    "study": {  # a class, the purpose of its command, if it is one, and the main options, see `sim.studies.study`
+        "designs": "sim.report.designs:DesignsStudy",
+        "sweep": (f"{_FREQUENCY}:SweepStudy", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
+        "response": "sim.report.agreement:ResponseStudy",
+        "agreement": "sim.report.agreement:AgreementStudy",
+        "ends": f"{_VALIDITY}:EndsStudy",
+        "margins": ("sim.studies.stability.command:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
+        "envelope": (f"{_VALIDITY}:EnvelopeStudy", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
+        "ride": "sim.studies.ride.over_roads:RideStudy",
+        "workshop": f"{_FREQUENCY}:WorkshopStudy",
+        "loads": "sim.studies.ride.loads:LoadsStudy",
+        "exported": "sim.report.exported:ExportedStudy",
+        "front": f"{_FREQUENCY}:FrontStudy",
+        "paper": "sim.report.designs:PaperStudy",
+        "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
+    },
 }
 EXTENSIONS = {sort: Registry(sort, rows) for sort, rows in _ROWS.items()}
-PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS = EXTENSIONS.values()
+PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

@@ -31,11 +31,6 @@ def finite(value: Any) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
-def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
-    """Returns complex numbers for JSON, as pairs [real, imaginary]."""
-    return [[finite(value.real), finite(value.imag)] for value in values]
-
-
 def cell(value: float | None, form: str, unit: str = "") -> str:
     """Returns a number for a table, "-" if it is infinite or absent."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"

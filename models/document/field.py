@@ -1,9 +1,13 @@
-"""A quantity of a result: what it is called, its unit and digits, and its key in JSON. All outputs read it here."""
+"""A quantity of a result: what it is called, its unit and digits, and its key in JSON. All outputs read it here.
+
+The quantities are the columns of a table, and the values of a `Record`.
+"""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from operator import attrgetter
+from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from models.common.printed import cell, finite
 
@@ -76,10 +80,80 @@ def cells(fields: Sequence[Field[T]], ones: Iterable[T]) -> tuple[tuple[str, ...
     return tuple(tuple(field.cell(one) for field in fields) for one in ones)
 
 
-def json_object(fields: Iterable[Field[T]], one: T) -> dict[str, Any]:
-    """Returns a result for JSON, with None for infinite or absent numbers."""
-    values = ((field.key, field.value(one)) for field in fields if field.key)
-    return {key: finite(value) if isinstance(value, float) else value for key, value in values}
+Part: TypeAlias = str | Callable[[T], Mapping[str, Any]]
+Value: TypeAlias = str | Callable[[T], Any]
+
+
+def _value(get: "Field[T] | Value[T]", one: T) -> Any:
+    return get.value(one) if isinstance(get, Field) else attrgetter(get)(one) if isinstance(get, str) else get(one)
+
+
+class Record(Generic[T]):
+    """JSON object of a result: values by their keys. A record is a function of the result, so that it can be a value of another.
+
+    None stands for an infinite or absent number, [real, imaginary] for a complex
+    one, a list for an array, and an object for a dataclass.
+    """
+
+    def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[T] | Value[T]") -> None:
+        """Prepares the object.
+
+        Args:
+            parts: fields with their own keys, which omits those without one; names of attributes, which are keys, too; and other
+                records, or functions, whose keys it has.
+            values: further values, after these: fields, functions, or attributes by their names, as in "certificate.norm".
+        """
+        keyed = [
+            {part.key: part} if isinstance(part, Field) else {part: part} if isinstance(part, str) else part for part in parts
+        ]
+        self._parts = [*keyed, values]
+
+    def __call__(self, one: T) -> dict[str, Any]:
+        """Returns the object of a result, without the keys whose value is `OMITTED`."""
+        found: dict[str, Any] = {}
+        for part in self._parts:
+            found |= part(one) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
+        return {key: plain(value) for key, value in found.items() if value is not OMITTED}
+
+    def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
+        """Returns a value of another record: the object of a result there, or all objects in its list, tuple or mapping."""
+
+        def each(results: Any) -> Any:
+            if results is None or results is OMITTED:
+                return results
+            if isinstance(results, Mapping):
+                return {key: self(one) if one and not isinstance(one, Mapping) else each(one) for key, one in results.items()}
+            return [self(one) for one in results] if isinstance(results, list | tuple) else self(results)
+
+        return lambda one: each(_value(get, one))
+
+
+OMITTED: Any = object()
+
+
+def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
+    """Returns a value of a record that omits its key if the value is None or empty."""
+
+    def value(one: T) -> Any:
+        found = get(one)
+        return found if found is not None and (not isinstance(found, Collection) or len(found)) else OMITTED
+
+    return value
+
+
+def plain(value: Any) -> Any:
+    """Returns a value for JSON, see `Record`."""
+    if isinstance(value, float):
+        return finite(value)
+    if isinstance(value, complex):
+        return [finite(value.real), finite(value.imag)]
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    return plain(value.tolist()) if hasattr(value, "tolist") else value
 
 
 def at_most(value: float) -> str:

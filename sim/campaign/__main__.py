@@ -11,7 +11,6 @@ from pathlib import Path
 from models.common.command import Parser
 from models.common.errors import InputError
 from sim.campaign import HERE, MOST_RUNS
-from sim.command.road_options import add_exported
 from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.registry import METRICS
 
@@ -92,7 +91,7 @@ def _parser() -> Parser:
         help="upper limit of another metric for --best, in SI units (m, m/s2, N; fractions of time from 0 to 1), for example "
         "peak_travel:0.08; may be repeated",
     )
-    add_exported(parser)
+    parser.add_exported()
     parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best controller")
     parser.add_count("--workers", "number of threads that simulate", "one per core", 1, MOST_WORKERS)
     parser.add_count("--batch", "largest number of runs that are saved together", "a few seconds of work", 1, RUNS_AT_ONCE)

@@ -21,7 +21,7 @@ from sim.observers.registry import observer
 from sim.observers.results import WHEN
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import Meter
-from sim.studies.ride.run_metrics import driven_roughness, roughness_object
+from sim.studies.ride.run_metrics import driven_roughness, roughness
 from synth.controller.controller import is_linear
 
 
@@ -152,8 +152,8 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
     """Returns every IRI of the run's road as far as it is driven, by name; computed once, whatever drives over it."""
     key = (*(run.inputs[name] for name in ("road", "speed", "seed")), track_width(run.vehicle))
     if (kept := plan.roughness.get(key)) is None:
-        roughness = roughness_object(driven_roughness(run.vehicle, run.road, plan.campaign.time))
-        kept = {name: entry["road"] for name, entry in roughness.items()}
+        named = roughness(driven_roughness(run.vehicle, run.road, plan.campaign.time))
+        kept = {name: entry["road"] for name, entry in named.items()}
         if len(plan.roughness) >= MOST_ROADS:
             plan.roughness.clear()
         plan.roughness[key] = kept

@@ -32,7 +32,7 @@ from sim.campaign.summary import compare, compared_lines, describe, summarise, t
 from sim.campaign.verify import verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.drive import RUNS_AT_ONCE
-from sim.studies.ride.standing import standings_object
+from sim.studies.ride.standing import record_of_standings
 
 FINISHED = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # on a road from a file
@@ -83,7 +83,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             "new": progress.done,
             "damaged": store.damaged,
             "summary": entries,
-            "compared": [{"vehicle": name, **standings_object([*some.values()])} for name, some in standings.items()],
+            "compared": [{"vehicle": name, **record_of_standings([*some.values()])} for name, some in standings.items()],
             "best": [choice.record for choice in choices],
             "saved_controller": saved,
             **written(outputs),

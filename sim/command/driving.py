@@ -22,9 +22,9 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.road_options import end_lines, gaps, started, starts_later
 from sim.drive.response import Response
-from sim.runs.report import FEW, half_step_object, run_object, shared, verdicts
+from sim.runs.report import FEW, HALF_STEP, RUN, shared, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
-from sim.studies.ride.standing import standing_lines, standings_object
+from sim.studies.ride.standing import record_of_standings, standing_lines
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
@@ -75,8 +75,8 @@ class Driven:
     def objects(self) -> list[dict[str, Any]]:
         """The runs as JSON objects, with vehicle and part if there are several."""
         return [
-            run_object(run)
-            | {"half_step": half_step_object(run)}
+            RUN(run)
+            | {"half_step": run.half_step and HALF_STEP(run.half_step)}
             | {key: text for key, text in (("vehicle", self.title), ("without", part)) if text}
             | ({"beside": {name: one.record for name, one in fits.items()}} if fits else {})
             for run, part, fits in zip_longest(self.runs, self.without, self.fits)
@@ -147,7 +147,10 @@ def drive(
         step = {"step": None}
         if step_response.step_of(road):
             steps = [step_response.measure_step(run, options.band) for run in runs]
-            objects = [step_response.step_object(*pair) for pair in zip(runs, steps, strict=True)]
+            objects = [
+                {"controller": run.controller.name, "signals": {name: step_response.RECORD(one) for name, one in each.items()}}
+                for run, each in zip(runs, steps, strict=True)
+            ]
             step, response = {"step": {"band": options.band, "runs": objects}}, step_response.describe(shown, steps, options.band)
     unstable = [run.controller.name for run in shown if run.prediction.radius > 1]
     end = float(time[-1 if samples[1] is None else samples[1] - 1])
@@ -174,7 +177,7 @@ def drive(
         if left := sorted({name for one in results for name in one.get("left_out", ())}):
             whole["left_out"] = left
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": standings_object(standings), "unstable": unstable, **written(outputs), "logs": paths}
+        last = {"compared": record_of_standings(standings), "unstable": unstable, **written(outputs), "logs": paths}
         print_json(whole | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
@@ -258,12 +261,12 @@ def _result(options: Namespace, each: Driven, measured: tuple[float, float | Non
         ride = FEATURES.load("ride of a run")
         rows, (start, end) = zip(each.objects, each.runs, each.metrics, strict=True), measured
         result |= {
-            "runs": [one | ride.metrics_object(run, of_run) for one, run, of_run in rows],
+            "runs": [one | ride.record(run, of_run) for one, run, of_run in rows],
             "measured_from": start,
             "road_ends": ride.points_end(road, float(time[-1])),
             **({} if end is None else {"measured_until": end}),
             "definitions": DEFINITIONS,
-            "iri": ride.roughness_object(ride.driven_roughness(each.vehicle, road, time)),
+            "iri": ride.roughness(ride.driven_roughness(each.vehicle, road, time)),
         }
     return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
 

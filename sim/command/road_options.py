@@ -12,7 +12,7 @@ from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
 from models.common.extensions import FEATURES
 from models.common.printed import percent, rough, wrapped
-from models.vehicle.names import CLASSES, FILE, LOAD_SYNTAX, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
+from models.vehicle.names import CLASSES, FILE, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -66,9 +66,6 @@ def started(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
         raise InputError(str(error).replace("[start]", "--start")) from error
 
 
-USUAL = ("passive", "state", "I", "II")
-
-
 def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: Sequence[str]) -> list[str]:
     """Returns a vehicle's controllers that are not among the chosen ones; empty if the user chose some.
 
@@ -86,7 +83,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 def add_run_options(parser: Parser, duration: float) -> None:
     """Adds `--duration` with its default [s], `--timestep`, `--as`, and the options of logs, viewers and output."""
-    add_exported(parser)
+    parser.add_exported()
     parser.add_number("--duration", duration, "s", "duration of the run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     parser.add_argument(
@@ -114,19 +111,6 @@ def add_run_options(parser: Parser, duration: float) -> None:
     )
 
 
-def add_exported(
-    parser: Parser, what: str = "run the controller as compiled code from this folder, which python -m synth --export wrote"
-) -> None:
-    """Adds `--as`."""
-    parser.add_argument(
-        "--as",
-        dest="exported",
-        type=Path,
-        metavar="DIR",
-        help=what,
-    )
-
-
 def add_measured(parser: Parser) -> None:
     """Adds `--beside`, a measured log to compare with the runs, and its options."""
     parser.add_argument(
@@ -148,12 +132,6 @@ def add_measured(parser: Parser) -> None:
     parser.add_argument(
         "--beside-remove-offset", action="store_true", help="remove the mean difference from each measured signal"
     )
-
-
-def add_loads(parser: Parser, what: str) -> None:
-    """Adds `--load`, which may be repeated."""
-    meaning = f"{what}; may be repeated, then all loads act together: {LOAD_SYNTAX}"
-    parser.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
 
 def add_road(parser: Parser, default: str) -> None:

@@ -8,7 +8,8 @@ if __name__ == "__main__":
 from collections.abc import Sequence
 
 from models.common.command import Parser
-from sim.command.road_options import add_loads, add_road, add_run_options, add_start, add_vehicles, requested_road
+from models.vehicle.names import LOAD_SYNTAX
+from sim.command.road_options import add_road, add_run_options, add_start, add_vehicles, requested_road
 
 EPILOG = """
 exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
@@ -40,7 +41,7 @@ def parser() -> Parser:
     add_vehicles(parser)
     add_start(parser)
     add_road(parser, "C")
-    add_loads(parser, "load on the body; the road is flat if no road is given")
+    parser.add_loads("load on the body; the road is flat if no road is given", LOAD_SYNTAX)
     parser.add_number(
         "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
     )

@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.text import text_lines
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
-    from sim.inspect.report import describe, proof_object, short_line, write_signals
+    from sim.inspect.report import RECORD, describe, short_line, write_signals
 
     kinds, paths, alone = options.kinds, options.logs, len(options.logs) == 1
     if kinds is not None and not kinds.is_dir():
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             complain(str(error))
             continue
         code = max(code, 0 if proof.holds else 1)
-        objects.append(proof_object(proof))
+        objects.append(RECORD(proof))
         lines = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
         if options.csv is not None:
             write_signals(options.csv, proof)

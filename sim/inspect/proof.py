@@ -20,7 +20,7 @@ from sim.observers.results import ALLOWED, DIFFERENCE
 from sim.recording.run_log import CONTINUOUS, MEASURED, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
-from sim.runs.report import claims, half_step_object, reasons, run_object
+from sim.runs.report import HALF_STEP, RUN, claims, reasons
 from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS, LATE_WINDOW, ONE_SIDED
 from synth.analysis.record import false_claims
@@ -227,20 +227,20 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
     if command == "drive" and result.get("definitions") not in known:
         yield Finding("result", MISSING, "its metrics have other definitions; use the version of Roadproof that wrote the log")
         return
-    now = run_object(run) | {"half_step": half_step_object(run)}
+    now = RUN(run) | {"half_step": run.half_step and HALF_STEP(run.half_step)}
     now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
     said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED)}
     said |= {"road": result.get("road"), "timestep": result.get("timestep")}
     if command == "drive":
-        from sim.studies.ride.run_metrics import driven_roughness, measure_run, metrics_object, roughness_object
+        from sim.studies.ride.run_metrics import driven_roughness, measure_run, record, roughness
 
         h, end = log.timestep, result.get("measured_until")
         samples = round(result["measured_from"] / h), None if end is None else round(end / h) + 1
-        measured, logged = metrics_object(run, measure_run(run, *samples)), mine[0].get("metrics", {})
+        measured, logged = record(run, measure_run(run, *samples)), mine[0].get("metrics", {})
         now |= measured | {
             "metrics": {name: one for name, one in measured["metrics"].items() if name in logged}
         }  # others are newer
-        now |= {"iri": roughness_object(driven_roughness(run.vehicle, run.road, run.prediction.time))}
+        now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
     if MEASURED in recorded.responses:
         from sim.studies.validity.measured_log import fits, until_end

@@ -3,45 +3,39 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from models.common.errors import InputError
 from models.common.printed import Whole, wrapped
 from models.document.document import Document, Statement, notes
+from models.document.field import Record
 from sim.inspect.findings import HOLDS, Finding
 from sim.inspect.proof import Inspected, Proof
 from sim.inspect.replay import as_response, kept
 from sim.recording.run_log import MUJOCO, SAMPLED
-from sim.runs.report import controller_object, run_object, verdict
+from sim.runs.report import RUN, controller_record, verdict
 from sim.runs.signal_table import run_columns, write_columns
 
-
-def proof_object(proof: Proof) -> dict[str, Any]:
-    """Returns the result as in JSON: SI units, None for missing values."""
-    log = proof.log
-    return {
-        "log": str(log.path),
-        "proves": proof.holds,
-        "command_line": log.metadata.get("command_line"),
-        "vehicle": log.metadata.get("vehicle"),
-        "vehicle_type": proof.vehicle.kind.name if proof.vehicle else None,
-        "timestep": log.timestep,
-        "versions": log.versions,
-        "findings": [vars(finding) for finding in proof.findings],
-        "runs": [
-            {
-                "name": one.recorded.name,
-                "samples": max((len(response.times) for response in one.recorded.responses.values()), default=0),
-                "findings": [vars(finding) for finding in one.findings],
-                "controller": controller_object(one.again.controller) if one.again else None,
-                "road": json.loads(one.recorded.claims.get("road", "null")),
-                "again": run_object(one.again) if one.again else None,
-            }
-            for one in proof.runs
-        ],
-    }
+INSPECTED = Record[Inspected](
+    name="recorded.name",
+    samples=lambda one: max((len(response.times) for response in one.recorded.responses.values()), default=0),
+    findings="findings",
+    controller=lambda one: controller_record(one.again.controller) if one.again else None,
+    road=lambda one: json.loads(one.recorded.claims.get("road", "null")),
+    again=lambda one: RUN(one.again) if one.again else None,
+)
+RECORD = Record[Proof](
+    log=lambda proof: str(proof.log.path),
+    proves="holds",
+    command_line=lambda proof: proof.log.metadata.get("command_line"),
+    vehicle=lambda proof: proof.log.metadata.get("vehicle"),
+    vehicle_type=lambda proof: proof.vehicle.kind.name if proof.vehicle else None,
+    timestep="log.timestep",
+    versions="log.versions",
+    findings="findings",
+    runs=INSPECTED.all("runs"),
+)
 
 
 def describe(proof: Proof) -> Document:

@@ -25,7 +25,7 @@ from sim.drive.loop import DIVERGED
 from sim.drive.response import Response
 from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
-from sim.runs.report import controller_object, describe_run, energy_object, events, half_step_object, verdict
+from sim.runs.report import BALANCE, HALF_STEP, controller_record, describe_run, events, verdict
 from sim.runs.run import Run
 from synth.controller.report import norm_if_implemented, norm_record
 
@@ -250,7 +250,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
             "certificate": FEATURES.load("certificates as data").to_record(certificate) | norm_record(norm),
         }
     claims = {
-        **controller_object(controller),
+        **controller_record(controller),
         "samples": len(run.physics.time),
         "road": road.describe(),
         "limits": vehicle.limits.record,
@@ -258,8 +258,8 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
         **({"start": dict(vehicle.start)} if vehicle.start else {}),
         **proved,
         "agrees": agreement.agrees,
-        "energy": energy_object(run.energy) if run.energy is not None else None,
-        "half_step": half_step_object(run),
+        "energy": BALANCE(run.energy) if run.energy is not None else None,
+        "half_step": run.half_step and HALF_STEP(run.half_step),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "errors": {name: signal.sampled if math.isfinite(signal.sampled) else None for name, signal in agreement.signals.items()},
     }

@@ -19,10 +19,8 @@ from typing import TYPE_CHECKING, cast
 from models.common.command import Parser, chosen_of, print_json, remarked
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, show, some_sentences
-from models.vehicle.names import PLUS, without_copies
+from models.vehicle.names import LOAD_SYNTAX, PLUS, without_copies
 from sim.command.road_options import (
-    add_exported,
-    add_loads,
     add_road,
     left_out_lines,
     omitted_controllers,
@@ -36,8 +34,8 @@ if TYPE_CHECKING:
     from models.document.page import Page
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
-    from sim.report.contents import Report
-    from sim.report.worker_processes import WorkerPool
+    from sim.report.page import Report
+    from sim.report.processes import Processes
 
 
 EPILOG = """
@@ -67,8 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.names import named_files
-    from sim.report.contents import report_object
-    from sim.report.worker_processes import WorkerPool, processes
+    from sim.report.page import record
+    from sim.report.processes import Processes, processes
     from sim.studies.ride.standing import standing_lines
 
     check_page()
@@ -84,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        with WorkerPool(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
+        with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
             results[title] = _reported(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].compared})
     if len(subjects) > 1:
@@ -93,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     others, page = omitted_controllers(vehicle, options.controller, names), result.page
     older = _others(page, options.figures) if options.figures is not None else []
     if options.json:
-        whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
+        whole = {**record(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print_json(whole)
     else:
         left = ["other files in figures, left unchanged", *(Whole(f"  {name}") for name in older)] if older else []
@@ -139,7 +137,7 @@ def _outputs(
     options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]"
 ) -> "dict[str, dict[str, Path | None]]":
     """Returns page and folder of figures of every vehicle, by title."""
-    from sim.report.scope import file_stem
+    from sim.studies.subject import file_stem
 
     if len(subjects) == 1:
         ((title, (vehicle, _)),) = subjects.items()
@@ -159,14 +157,14 @@ def _several(
 ) -> int:
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import written, written_lines
-    from sim.report.contents import report_object
-    from sim.studies.ride.standing import standing_lines, standings_object
+    from sim.report.page import record
+    from sim.studies.ride.standing import record_of_standings, standing_lines
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
-        whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
+        whole = {title: {**record(result), **written(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
-        print_json({"reports": whole, "compared": standings_object(compared), **left})
+        print_json({"reports": whole, "compared": record_of_standings(compared), **left})
     else:
         lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
         say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
@@ -178,17 +176,18 @@ def _reported(
     vehicle: "Vehicle",
     names: Sequence[str],
     loads: "tuple[Load, ...]",
-    pool: "WorkerPool",
+    pool: "Processes",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """Writes the page of a vehicle, with its figures if they are requested, and returns the report."""
+    from models.common.extensions import STUDIES
     from models.vehicle.limits_and_implementation import steps_per_sample
     from sim.command.comparison import controllers_of, runnable, warn_invalid_certificates
-    from sim.report.contents import pieces_of, report, stages
-    from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import AMPLITUDE, BUMP_DURATION, Subject
+    from sim.report.page import report, stages
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
+    from sim.studies.registry import study
+    from sim.studies.subject import AMPLITUDE, BUMP_DURATION, Subject
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
@@ -202,15 +201,12 @@ def _reported(
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
         raise InputError(f"--{given[0]} needs a road; give --road or --class, or omit --{given[0]}")
-    if options.front is not None:
-        from sim.report.front import check_front
-
-        check_front(vehicle, options.front)
-    if loads:
-        loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
+    designer, own = Designer(vehicle), {"own_road": road, "road_name": name, "duration": duration}
+    scope = Subject(vehicle, designer, (), options.timestep, options.quick, (), options.front, loads, **own)
+    for one in map(study, STUDIES):
+        one.check_page(scope)
 
     show("designs")
-    designer = Designer(vehicle)
     controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
     if options.exported is not None:
         known = {one.name: one for one in controllers}
@@ -219,11 +215,9 @@ def _reported(
     warn_invalid_certificates(controllers)
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
-    own = {"own_road": road, "road_name": name, "duration": duration}
-    scope = Subject(vehicle, designer, linear, options.timestep, options.quick, show, laws, options.front, loads, exported, **own)
-    stage = Stages(*stages(pieces_of(scope)), "the page")
-    scope = replace(scope, progress=stage)
-    result = report(scope, _about(vehicle.source), pool.begin)
+    scope = replace(scope, controllers=linear, laws=laws, exported=exported)
+    stage = Stages(*stages(scope), "the page")
+    result = report(scope, _about(vehicle.source), pool.begin, stage)
     stage("the page")
     _write(result.page, outputs)
     stage.end()
@@ -240,9 +234,9 @@ def _gallery(options: argparse.Namespace) -> int:
     from models.document.outputs import check_outputs, written, written_lines
     from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
-    from sim.studies.gallery.entries import names, read_entry
-    from sim.studies.gallery.numbers import compared
-    from sim.studies.gallery.report import gallery_object
+    from sim.studies.gallery.entries import names
+    from sim.studies.registry import study
+    from sim.studies.study import StudyRequest
 
     repeated = {
         name
@@ -255,17 +249,14 @@ def _gallery(options: argparse.Namespace) -> int:
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
         check_drawing()
-    stage, results = Stages(*names(), "the page"), []
-    for name in names():
-        stage(name)
-        entry = read_entry(name)
-        results.append((entry, compared(entry)))
+    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), StudyRequest(argparse.Namespace(name=[]))
+    results = gallery.run(request, stage)
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))
     _write(page, outputs)
     stage.end()
     if options.json:
-        print_json({**gallery_object(results), **written(outputs)})
+        print_json({**gallery.record(request, results), **written(outputs)})
     else:
         say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0
@@ -322,10 +313,10 @@ def _parser() -> Parser:
         help="add a trade-off between two or three objectives, such as ride:travel, as in `python -m synth --front`, with "
         "MuJoCo runs of some designs; takes half a minute more",
     )
-    add_exported(parser, "add the exported code in this folder of python -m synth --export, and its effect")
+    parser.add_exported("add the exported code in this folder of python -m synth --export, and its effect")
     add_road(parser, "none")
     parser.add_number("--duration", 20.0, "s", "duration of the run over the road")
-    add_loads(parser, "add a load on a flat road; with --road or --class it acts there, too")
+    parser.add_loads("add a load on a flat road; with --road or --class it acts there, too", LOAD_SYNTAX)
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
     printed.add_argument("-v", "--verbose", action="store_true", help="also print every statement of the page")

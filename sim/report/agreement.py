@@ -1,28 +1,32 @@
 """The sections of a report that compare MuJoCo with analysis over one road: the paper's bump, agreement, damper diagrams."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
-from models.document.document import Document, Pivot, Statement, Table, notes
+from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.text import names_text
 from sim.command.road_options import end_lines
 from sim.observers.results import DIFFERENCE, WHEN
-from sim.report.scope import BUMP_DURATION, Subject
+from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.prediction import LINEAR, NONLINEAR
-from sim.runs.report import SIZES, energy_table, reasons, shared, verdicts
-from sim.runs.run import Run
+from sim.runs.report import SIZES, energy_table, run_statements
+from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, history_figure
-from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics
+from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics, measured_words
+from sim.studies.study import Progress, Study
+from sim.studies.subject import BUMP_DURATION, Subject
 
 DIAGRAM_POINTS = 60  # of MuJoCo
 ROOM = 1.15  # times what was reached, on both axes
+MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
+Finer = Mapping[str, SignalAgreement]  # of a run at half the timestep, by signal
 NAME = Field[Run]("controller", lambda run: run.controller.name)
 
 
@@ -102,15 +106,9 @@ def _metrics(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Table:
     return Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
 
 
-def run_statements(runs: Sequence[Run], where: str) -> tuple[Statement, ...]:
-    """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
-    said = [(run.controller.name, one) for run in runs for one in reasons(run)]
-    return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))
-
-
-def agreement_section(scope: Subject, runs: Sequence[Run], finer: Sequence[Run]) -> Document:
+def agreement_section(scope: Subject, runs: Sequence[Run], finer: Mapping[str, Finer]) -> Document:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
-    pairs = [(run, fine, name) for run, fine in zip_longest(runs, finer) for name in run.agreement.signals]
+    pairs = [(run, finer.get(run.controller.name), name) for run in runs for name in run.agreement.signals]
     reference = NONLINEAR if scope.vehicle.parts.nonlinear else LINEAR
     linear = not (scope.vehicle.parts.nonlinear or scope.vehicle.dampers)
     prompt = scope.vehicle.implementation.undelayed  # then the sampled response tends to the continuous one
@@ -118,14 +116,18 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Sequence[Run])
     def settles(run: Run) -> bool:
         return linear and run.controller.linear and (prompt or not run.controller.acts)
 
-    columns: tuple[Field[tuple[Run, Run | None, str]], ...] = (
+    columns: tuple[Field[tuple[Run, Finer | None, str]], ...] = (
         NAME.of(lambda of: of[0]),
         Field("signal", lambda of: of[2].replace("_", " ")),
         Field("to sampled", lambda of: of[0].agreement.signals[of[2]].sampled, DIFFERENCE.form),
         Field("allowed", lambda of: of[0].prediction.cause or of[0].agreement.signals[of[2]].allowed, DIFFERENCE.form),
         Field("its order", lambda of: _order(*of, "sampled"), ".2f"),
         *(
-            [Field[tuple[Run, Run | None, str]]("of the linearisation", lambda of: of[0].line_errors.get(of[2]), DIFFERENCE.form)]
+            [
+                Field[tuple[Run, Finer | None, str]](
+                    "of the linearisation", lambda of: of[0].line_errors.get(of[2]), DIFFERENCE.form
+                )
+            ]
             if scope.vehicle.parts.nonlinear
             else []
         ),
@@ -140,7 +142,7 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Sequence[Run])
         f"signal's peak. Its order is the power of the step with which it shrinks, from {step:g} to {step / 2:g} ms.",
     ]
     if len(finer) < len(runs):
-        texts.append(f"Orders are given for {names_text(run.controller.name for run in finer)} only.")
+        texts.append(f"Orders are given for {names_text(finer)} only.")
     if "" in causes:
         texts.append("MuJoCo differs from the sampled response by RK4's error, of order 4. Differences below 1e-9 are rounding.")
     if any(run.prediction.is_blurred for run in runs):
@@ -164,9 +166,35 @@ def agreement_section(scope: Subject, runs: Sequence[Run], finer: Sequence[Run])
     return Document(f"Agreement with {reference.partition(' with')[0]}", (*notes(*texts), table, energy_table(runs, scope.where)))
 
 
-def _order(run: Run, finer: Run | None, name: str, to: str) -> float | None:
+def _order(run: Run, finer: Finer | None, name: str, to: str) -> float | None:
     """Returns the power of the step with which a difference shrinks; None for rounding, and for noise and geometry."""
     if finer is None or run.prediction.cause:
         return None
-    coarse, fine = (getattr(one.agreement.signals[name], to) for one in (run, finer))
+    coarse, fine = (getattr(signals[name], to) for signals in (run.agreement.signals, finer))
     return math.log2(coarse / fine) if fine > 1e-9 and coarse > 1e-9 else None
+
+
+class ResponseStudy(Study[None]):
+    """Response to the road of a page."""
+
+    def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+        """See `Study`."""
+        return [response_section(scope, scope.runs, scope.measured, measured_words(scope.time, scope.samples))]
+
+
+class AgreementStudy(Study[dict[str, Finer]]):
+    """Difference of MuJoCo from analysis over the road of a page, and its order of convergence from runs at half the timestep."""
+
+    def requests(self, scope: Subject) -> Mapping[str, Subject]:
+        """See `Study`."""
+        return {"": scope}
+
+    def run(self, request: Subject, progress: Progress) -> dict[str, Finer]:
+        """Returns the agreement of each signal of a few controllers at half the timestep."""
+        halves = sample_times(request.vehicle, request.duration, request.timestep / 2)
+        runs = run_controllers(request.vehicle, request.driven[:MOST_ORDERS], request.road, halves, balanced=False)
+        return {run.controller.name: run.agreement.signals for run in runs}
+
+    def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+        """See `Study`."""
+        return [agreement_section(scope, scope.runs, results[self.name][""])]

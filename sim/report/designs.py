@@ -1,7 +1,9 @@
 """The sections of a report on what was designed: gains, certificates, frequency responses, and the paper's numbers."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +14,14 @@ from models.document.field import Field
 from models.document.text import names_text
 from models.laws.linear import gain_text, states_text
 from models.vehicle.vehicle import Vehicle
-from sim.report.scope import Subject
+from sim.studies.study import Progress, Study
+from sim.studies.subject import Subject
 from synth.analysis.specification import Specification
 from synth.command.table import Row, describe
 from synth.controller.controller import Controller
 from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study_notes
 from synth.vehicle.designer import Designer
-from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
+from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
@@ -124,7 +127,7 @@ def per_unit(unit: str, other: str) -> str:
     return f"{unit}·{under}/{over}" if under else f"{unit}/{other}"
 
 
-def paper_section(scope: Subject) -> Document:
+def paper_section(scope: Subject, progress: Progress) -> Document:
     """Returns the section on the numbers that the paper prints of its designs, and ours from scratch."""
     values, rows = ours(scope.designer), []
     for row in PRINTED:
@@ -141,7 +144,7 @@ def paper_section(scope: Subject) -> Document:
     ]
     tables = [Table("paper", caption, headings, tuple(rows), words=3), without_l(scope.designer)]
     if not scope.quick:
-        scope.progress("a genetic algorithm")
+        progress("a genetic algorithm")
         tables.append(other_ways(scope.designer))
         texts.append("Remark 5: differential evolution minimises the norm itself. Times are of this machine.")
     return Document("Numbers of the paper", (*notes(*texts), *tables))
@@ -170,3 +173,25 @@ def other_ways(designer: Designer) -> Table:
     )
     caption = f"Remark 5: the two steps and a genetic algorithm with gain entries from {-BOX:g} to {BOX:g}, seed {SEED}."
     return Table.of("other-ways", caption, columns, remark_5(designer), words=2, detail="full")
+
+
+class DesignsStudy(Study[None]):
+    """Designs of a page."""
+
+    def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+        """See `Study`."""
+        return [design_section(scope)]
+
+
+class PaperStudy(Study[Document]):
+    """Numbers of the paper, on a page about its vehicle."""
+
+    seconds = 2.0
+
+    def requests(self, scope: Subject) -> Mapping[str, Subject]:
+        """See `Study`."""
+        return {"": scope} if is_the_papers(scope.vehicle) else {}
+
+    def run(self, request: Subject, progress: Progress) -> Document:
+        """See `Study`."""
+        return paper_section(request, progress)

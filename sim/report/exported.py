@@ -1,10 +1,13 @@
 """The section of a report on exported code: what was exported, and what the code changes in MuJoCo."""
 
+from collections.abc import Mapping
+
 from models.common.printed import entry
 from models.document.document import Document, Table, notes
-from sim.report.scope import Subject
 from sim.runs.report import code_notes, code_table, verdicts
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.study import Progress, Study
+from sim.studies.subject import Subject
 
 TITLE = "Exported code"
 
@@ -31,3 +34,15 @@ def exported_section(scope: Subject) -> Document:
     facts = Table("exported", "Contents of the folder.", ("what", "value"), tuple(rows), words=2)
     said = (*verdicts([run], f"Over {scope.where}, exported code of "), *notes(*code_notes(effect, scope.vehicle)))
     return Document(TITLE, (*said, facts, code_table(effect, scope.vehicle)))
+
+
+class ExportedStudy(Study[Document]):
+    """Exported code, and its effect on a run, on a page."""
+
+    def requests(self, scope: Subject) -> Mapping[str, Subject]:
+        """See `Study`."""
+        return {} if scope.exported is None else {"": scope}
+
+    def run(self, request: Subject, progress: Progress) -> Document:
+        """See `Study`."""
+        return exported_section(request)

@@ -13,12 +13,11 @@ from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
 from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
 from sim.observers.results import WHEN
-from sim.report.ride import AVERAGE, SEEDS, SPEED
-from sim.report.scope import NAME, Subject
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
 from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Standing, best, compared_table, headline
 from sim.studies.ride.standing import digits as of_table
+from sim.studies.subject import AVERAGE, NAME, SEEDS, SPEED, Subject
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.report import OneEnd

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite
+from models.document.field import Record
 from sim.drive.response import Response
 from sim.observers.results import DIFFERENCE
 from synth.controller.controller import AnyController
@@ -53,11 +53,6 @@ class CodeEffect:
         return float(np.sqrt(np.mean(self.apart[name] ** 2))) if len(self.apart[name]) else 0.0
 
     @property
-    def record(self) -> dict[str, Any]:
-        """The differences as a JSON object."""
-        return {name: {"peak": finite(self.peak(name)), "rms": finite(self.rms(name))} for name in self.apart}
-
-    @property
     def failures(self) -> list[str]:
         """Returns the reasons for which exported code does not agree; empty if it agrees."""
         lines = [] if self.law_agrees else ["DOES NOT AGREE: the run with the control law itself does not agree with the model"]
@@ -90,3 +85,10 @@ def code_effect(
     ranges = [] if law.ranges is None else law.ranges
     clipped = tuple(name for name, most in zip(driver.measured, ranges, strict=False) if code.peak(name) > most)
     return CodeEffect(law.numbers, apart, shares[furthest], furthest, law_agrees, clipped)
+
+
+def _differences(effect: CodeEffect) -> dict[str, Any]:
+    return {name: {"peak": effect.peak(name), "rms": effect.rms(name)} for name in effect.apart}
+
+
+DIFFERENCES = Record[CodeEffect](_differences)  # of a run with exported code from that with the law, by signal

@@ -7,14 +7,12 @@ those of the linear loop that fits the whole decay best.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from models.common.printed import finite
-from models.document.field import Field
+from models.document.field import Field, plain
 from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states
 from sim.runs.result import RunResult
@@ -101,13 +99,9 @@ def decay_words(run: RunResult) -> str:
     return f"free decay: {'; '.join(one.words for one in modes)}"
 
 
-def decay_object(run: RunResult) -> dict[str, Any]:
+def record(run: RunResult) -> dict[str, Any]:
     """Returns the modes of a free decay as a JSON object: in MuJoCo, and by linear analysis if that applies."""
     if not is_free(run):
         return {}
     linear = modes_of(run, run.sampled) if run.prediction.is_linear and not run.agreement.lift_off else ()
-    return {"decay": {"mujoco": _objects(modes_of(run, run.physics)), "linear": _objects(linear)}}
-
-
-def _objects(modes: Sequence[Mode]) -> list[dict[str, float | None]]:
-    return [{name: finite(value) for name, value in asdict(one).items()} for one in modes]
+    return {"decay": plain({"mujoco": modes_of(run, run.physics), "linear": linear})}

@@ -5,7 +5,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.extensions import FEATURES
-from models.common.printed import as_name, entry, finite, percent
+from models.common.printed import as_name, entry, percent
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import Detail, Field, json_object
+from models.document.field import OMITTED, Detail, Field, Record, if_any
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import Vehicle
@@ -41,12 +41,12 @@ from synth.controller.controller import AnyController
 from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
+    GROWTH,
     NORM,
     PEAK,
     failures_of_sampled_loop,
     filter_lines,
     growth_lines,
-    growth_object,
     ideal_lines,
     norm_if_implemented,
     notes_on_sampled_loop,
@@ -77,59 +77,92 @@ LENGTH = Field[float]("duration", float, ".3g", unit="s")
 CHANGE = Field[float]("change", float, "+.1f", 100.0)
 SIZE = Field[float]("size", float, ".5g")  # of a signal
 SIZES: tuple[Field[tuple[RunResult, str]], ...] = tuple(  # of a signal of a run
-    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form)
+    Field(f"{what}, {name}", lambda of, get=attrgetter(f"{source}.{what}"): float(get(of[0])(of[1])), SIZE.form, key=name.lower())
     for what in ("peak", "rms")
     for name, source in {"MuJoCo": "physics", "sampled": "sampled", "continuous": "continuous"}.items()
 )
 
 
-def energy_object(energy: Energy) -> dict[str, float | bool | None]:
-    """Returns an energy balance for JSON [J]; its residual is a share of `turnover`."""
-    numbers = {
-        name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
-    }
-    return numbers | {"balances": energy.balances if energy.judged else None}
+BALANCE = Record[Energy](
+    lambda one: {key: value for key, value in asdict(one).items() if key not in ("least", "loads") or value is not None},
+    balances=lambda one: one.balances if one.judged else None,
+)  # of energy [J]; its residual is a share of `turnover`
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
-def run_object(run: RunResult) -> dict[str, Any]:
-    """Returns a run as a JSON object: SI units, None for infinite or missing values."""
-    responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
-    agreement = run.agreement
-    return {
-        "controller": controller_object(run.controller),
-        "signals": {
-            name: {
-                "unit": run.vehicle.kind.signal(name).unit,
-                "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
-                "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)}
-                | ({"linearisation": finite(run.line_errors[name])} if name in run.line_errors else {}),
-            }
-            for name, signal in agreement.signals.items()
-        },
-        "until": finite(agreement.until),
-        "lift_off": [list(interval) for interval in agreement.lift_off],
-        "agrees": agreement.agrees,
-        "steps": _check_object(agreement.steps, "error", "allowed", "since", "until"),
-        "commands": _check_object(agreement.commands, "repeatable", "error", "allowed", "since"),
-        "cause": agreement.cause,
-        **({"reference": run.prediction.reference, "linearisation": _line_object(run)} if run.prediction.linearised else {}),
-        **({"stops": FEATURES.load("stops that a run reaches").stops_object(run)} if run.vehicle.limits.stopped else {}),
-        **({"dampers": _dampers_object(run)} if run.vehicle.dampers else {}),
-        **_decay_object(run),
-        **({"code_difference": code.record} if (code := run.prediction.code_effect) is not None else {}),
-        **({"margins": law_margins(run.vehicle, run.controller).record} if run.controller.linear else {}),
-        **({"energy": energy_object(run.energy)} if run.energy is not None else {}),
-    }
+def _local_check(where: str, *names: str) -> Callable[[RunResult], dict[str, Any] | None]:
+    """Returns one of the two local checks as a value of a record, None if it is not made."""
+    return Record(**{name: lambda one, name=name: getattr(one, name, None) for name in ("agrees", *names)}).all(where)
 
 
-def _line_object(run: RunResult) -> dict[str, Any] | None:
-    """Returns the largest error of the linearisation at equilibrium as a JSON object, or None if nothing is compared."""
+def _worst_line(run: RunResult) -> dict[str, Any] | None:
+    """Returns the largest error of the linearisation at equilibrium for JSON, or None if nothing is compared."""
     if not (errors := run.line_errors):
         return None
     worst = max(errors, key=errors.__getitem__)
-    return {"error": finite(errors[worst]), "signal": worst, "over": "peak in MuJoCo"}
+    return {"error": errors[worst], "signal": worst, "over": "peak in MuJoCo"}
+
+
+def _shortfall(run: RunResult) -> dict[str, Any]:
+    """Returns the force that semi-active dampers did not give, for JSON; empty without such dampers."""
+    if not run.vehicle.dampers:
+        return {}
+    return {"shortfall": FEATURES.load("forces that dampers lack").shortfalls(run.vehicle, run.physics)}
+
+
+def _decay(run: RunResult) -> dict[str, Any]:
+    """Returns the modes of a free decay for JSON; empty without a given start."""
+    if not run.vehicle.start:
+        return {}
+    return FEATURES.load("decay").record(run)
+
+
+HALF_STEP = Record("difference", "signal")  # change by half the step after a lift-off
+SIGNAL = Record[tuple[RunResult, str]](
+    unit=lambda of: of[0].vehicle.kind.signal(of[1]).unit,
+    peak=Record(*SIZES[:3]),
+    rms=Record(*SIZES[3:]),
+    error=Record(
+        sampled=lambda of: of[0].agreement.signals[of[1]].sampled,
+        continuous=lambda of: of[0].agreement.signals[of[1]].continuous,
+        linearisation=lambda of: of[0].line_errors.get(of[1], OMITTED),
+    ),
+)
+
+
+def controller_record(controller: AnyController) -> dict[str, Any]:
+    """Returns a controller for JSON; the linear claims of a law in Python are None."""
+    if controller.linear is False:
+        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
+    claims = Record(BOUND, NORM, PEAK, stability=lambda one: one.stability.verdict)
+    return {**controller.record, **claims(controller.certificate), **GROWTH(controller)}
+
+
+RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infinite values are None
+    Record[RunResult](
+        Record(
+            controller=lambda run: controller_record(run.controller),
+            signals=SIGNAL.all(lambda run: {name: (run, name) for name in run.agreement.signals}),
+            until="agreement.until",
+            lift_off="agreement.lift_off",
+            agrees="agreement.agrees",
+            steps=_local_check("agreement.steps", "error", "allowed", "since", "until"),
+            commands=_local_check("agreement.commands", "repeatable", "error", "allowed", "since"),
+            cause="agreement.cause",
+            reference=lambda run: run.prediction.reference if run.prediction.linearised else OMITTED,
+            linearisation=lambda run: _worst_line(run) if run.prediction.linearised else OMITTED,
+            stops=lambda run: FEATURES.load("stops that a run reaches").STOPS(run) if run.vehicle.limits.stopped else OMITTED,
+            dampers=if_any(_shortfall),
+        ),
+        _decay,
+        code_difference=lambda run: (
+            FEATURES.load("effect of exported code").DIFFERENCES(run.prediction.code_effect)
+            if run.prediction.code_effect
+            else OMITTED
+        ),
+        margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED,
+        energy=BALANCE.all(lambda run: run.energy or OMITTED),
+    )
+)
 
 
 def line_words(run: RunResult) -> str:
@@ -138,37 +171,6 @@ def line_words(run: RunResult) -> str:
         return ""
     off = max(errors.values())
     return f"off by {percent(off)} of a peak" if off < FAR_OFF else f"off by more than {FAR_OFF:g} times a peak"
-
-
-def _check_object(one: LocalAgreement | None, *names: str) -> dict[str, float | bool | None] | None:
-    """Returns one of the two local checks as a JSON object, or None if it is not made."""
-    values = {name: getattr(one, name, None) for name in ("agrees", *names)}
-    return one and {name: value if isinstance(value, bool) else finite(value) for name, value in values.items()}
-
-
-def _dampers_object(run: RunResult) -> dict[str, Any]:
-    """Returns the force that semi-active dampers did not give as a JSON object."""
-    shortfalls = FEATURES.load("forces that dampers lack").shortfalls
-    return {"shortfall": {name: asdict(one) for name, one in shortfalls(run.vehicle, run.physics).items()}}
-
-
-def half_step_object(run: RunResult) -> dict[str, Any] | None:
-    """Returns the change by half the step after a lift-off as a JSON object, or None if it is unknown."""
-    half_step = run.half_step
-    return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
-
-
-def controller_object(controller: AnyController) -> dict[str, Any]:
-    """Returns a controller for JSON; the linear claims of a law in Python are None."""
-    if controller.linear is False:
-        return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
-    certificate = controller.certificate
-    return {
-        **controller.record,
-        **json_object((BOUND, NORM, PEAK), certificate),
-        "stability": certificate.stability.verdict,
-        **growth_object(controller),
-    }
 
 
 def energy_table(runs: Sequence[RunResult], where: str) -> Table:
@@ -505,14 +507,6 @@ def _decay_words(run: RunResult) -> list[str]:
     return [words] if (words := FEATURES.load("decay").decay_words(run)) else []
 
 
-def _decay_object(run: RunResult) -> dict[str, Any]:
-    """Returns the modes of a free decay for JSON; empty without a given start."""
-    if not run.vehicle.start:
-        return {}
-
-    return FEATURES.load("decay").decay_object(run)
-
-
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
     rows, on = [], run.prediction.input
@@ -597,3 +591,9 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
     happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))
+
+
+def run_statements(runs: Sequence[RunResult], where: str) -> tuple[Statement, ...]:
+    """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
+    said = [(run.controller.name, one) for run in runs for one in reasons(run)]
+    return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))

@@ -1,12 +1,11 @@
 """Bump stops that a run reaches: compression, force and time of each."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from models.characteristics import SIDES
-from models.document.field import Field, json_object
+from models.document.field import Field, Record
 from models.parts.part import Part
 from sim.drive.regime import AT, BUMP_STOP
 from sim.observers.results import WHEN
@@ -63,13 +62,7 @@ def _is_stop(part: Part) -> bool:
     return any(limit.end == BUMP_STOP.name for limit in part.limits())
 
 
-def stops_object(run: RunResult) -> dict[str, dict[str, dict[str, Any] | None]]:
-    """Returns the contacts as a JSON object: squeeze [m], force [N] and time [s] of every stop, or None if it is not reached."""
-    fields = (SQUEEZE, FORCE, TIME)
-    return {
-        name: {side: touch and json_object(fields, touch) for side, touch in sides.items()}
-        for name, sides in touches(run).items()
-    }
+STOPS = Record(SQUEEZE, FORCE, TIME).all(touches)  # of a run: squeeze [m], force [N] and time [s] of every stop, or None
 
 
 def stop_note(run: RunResult) -> str:

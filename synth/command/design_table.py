@@ -13,12 +13,12 @@ from models.common.command import print_json
 from models.common.errors import InputError
 from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
 from models.document.document import Block, Document, Statement, Table, notes
-from models.document.field import Field
+from models.document.field import Field, Record
 from models.document.outputs import check_outputs, written, written_lines
 from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, answers, describe, details, proofs, row_object, undamped
+from synth.command.table import Row, answers, describe, details, proofs, record, undamped
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
@@ -83,7 +83,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         bounds = {row.name: row.sampled_below for row in designs.rows}
         save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
     if options.json:
-        print_json(designs_object(designs, outputs))
+        print_json({**RECORD(designs), **written(outputs)})
     else:
         say(answer_lines(designs, options, outputs))
     return 1 if any(row.failures for row in designs.rows) else 0
@@ -231,19 +231,20 @@ def _drawn(designs: Designs, path: Path) -> Path | None:
     return path if figure is not None else None
 
 
-def designs_object(designs: Designs, outputs: Mapping[str, Path | None]) -> dict[str, Any]:
-    """Returns the designs as a JSON object: SI units, None for infinite or missing values."""
-    limit = designs.limit
-    return {
-        "vehicle": designs.vehicle.kind.name,
-        "controllers": [row_object(row) for row in designs.rows],
-        "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-        "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
-        | ({"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {})
-        | ({"points": designs.felt} if designs.felt else {}),
-        "flat": {"gamma": FLAT, "gain_down_up": designs.flat},
-        **written(outputs),
-    }
+def _expected_ride(designs: Designs) -> dict[str, Any]:
+    """Returns the conditions of the expected ride for JSON, and that of the passive vehicle."""
+    ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
+    ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
+    return ride | ({"points": designs.felt} if designs.felt else {})
+
+
+RECORD = Record[Designs](
+    vehicle="vehicle.kind.name",
+    controllers=lambda one: [record(row) for row in one.rows],
+    invariant_limit=lambda one: {"norm": one.limit.gamma, "frequency": one.limit.limit_at} if one.limit.gamma else None,
+    expected_ride=_expected_ride,
+    flat=lambda one: {"gamma": FLAT, "gain_down_up": one.flat},
+)
 
 
 def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:

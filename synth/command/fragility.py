@@ -41,7 +41,7 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
     found = errors.fragility(scaled_gain(posed.plant, gain), norms)
     rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
     lines = [errors.fragility_text(found, *names), *filter(None, [errors.rounding_text(found.norm, rounding)])]
-    return FragilityReport(found, rounding, lines, errors.fragility_object(found, rounding, *names))
+    return FragilityReport(found, rounding, lines, errors.record(found, rounding, *names))
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:

@@ -16,7 +16,7 @@ from synth.controller.report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, cost
-from synth.vehicle.sample_rate.report import cost_object, describe, drawn_periods, failures, rates_figure
+from synth.vehicle.sample_rate.report import RECORD, describe, drawn_periods, failures, rates_figure
 
 MOST = 1000  # rates in one table
 
@@ -64,7 +64,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     chosen = [replace(one, rates=tuple(at for at in one.rates if at.period in periods)) for one in costs]
     failed = [text for one in chosen for text in failures(one)]
     if options.json:
-        rows = [cost_object(one) for one in chosen]
+        rows = [RECORD(one) for one in chosen]
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
         print_json({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)})
     else:

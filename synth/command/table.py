@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.errors import listing
-from models.common.printed import WIDTH, as_name, finite, percent
+from models.common.printed import WIDTH, as_name, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
-from models.document.field import Field, json_object
+from models.document.field import OMITTED, Field, Record, if_any
 from models.laws.linear import FEWER, gain_text
 from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
@@ -28,9 +28,11 @@ from synth.controller.report import (
     BOUND,
     FEEDBACK_ALONE,
     GAP,
+    GROWTH,
     LOWER_BOUND,
     NORM,
     PEAK,
+    PROVED_NORM,
     REACHED,
     SAME,
     SAMPLED,
@@ -38,11 +40,9 @@ from synth.controller.report import (
     built_words,
     filter_lines,
     growth_lines,
-    growth_object,
     ideal_lines,
     judged_lines,
     law_text,
-    norm_object,
     norm_record,
     notes_on_sampled_loop,
     pid_line,
@@ -351,53 +351,42 @@ PROOFS: tuple[Field[Row], ...] = (
 )
 
 
-def row_object(row: Row) -> dict[str, Any]:
-    """Returns a row as a JSON object: SI units, None for infinite or missing values."""
-    if row.controller is None:
-        return {"name": row.name, "reason": "; ".join(row.failures)}
-    controller, certificate = row.controller, row.controller.certificate
-    return {
-        "name": row.name,
-        "measured": list(controller.measured),
-        **controller.law.record,
-        **_hardware_object(controller),
-        "designed": controller.designed,
-        **({"design": "sampled"} if controller.sampled else {}),
-        **json_object((BOUND, NORM), certificate),
-        **norm_object(row.sampled),
-        **({SAMPLED_BOUND: row.sampled_below.level, "sampled_gap": row.sampled_gap} if row.sampled_below is not None else {}),
-        "routes_gap": certificate.norm.gap if certificate.stable else None,
-        **json_object((PEAK,), certificate),
-        "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-        **json_object((LOWER_BOUND, GAP), certificate),
-        "expected_ride": row.ride,
-        "stability": certificate.stability.verdict,
-        **growth_object(controller),
-        **({"margins": row.margins.record} if row.margins is not None else {}),
-        "lmi": _lmi_object(certificate.proof),
-        "certificate": to_record(certificate) | norm_record(row.sampled) | bound_record(row.sampled_below),
-        "notes": [*row.notes, *certificate.remarks],
-        "failures": list(row.failures),
-        "refine_lowers_by_at_least": row.worth or None,
-        **({"promises": [promise.record for promise in controller.specifications]} if controller.specifications else {}),
-        "cross_check": row.witness.record if row.witness is not None else None,
-        **({"fragility": row.fragile.record} if row.fragile is not None else {}),
-    }
-
-
-def _hardware_object(controller: Controller) -> dict[str, Any]:
-    """Returns noise, loads and lag of a norm as JSON; empty without any."""
+def _hardware(controller: Controller) -> dict[str, Any]:
+    """Returns noise, loads and lag of a norm for JSON; empty without any."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
-def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:
-    """Smallest eigenvalues of X and of minus (20), balanced, with what each must exceed, and whether both are proved."""
-    if proof is None:
-        return None
-    parts = {"X": proof.positive, "minus_20": proof.negative}
-    return {"proved": proof.holds} | {
-        name: {"smallest": finite(part.smallest), "rounding": finite(part.rounding)} for name, part in parts.items()
-    }
+EIGENVALUE = Record("smallest", "rounding")  # least one, and what it must exceed
+LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EIGENVALUE.all("negative"))
+CLAIMS = Record[Certificate](
+    Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
+)
+DESIGNED = Record[Row](
+    Record("name", measured="controller.measured"),
+    lambda row: row.controller.law.record,
+    lambda row: _hardware(row.controller),
+    Record(designed="controller.designed", design=lambda row: "sampled" if row.controller.sampled else OMITTED),
+    *(one.of(CERTIFICATE) for one in (BOUND, NORM)),
+    lambda row: PROVED_NORM(row.sampled) if row.sampled is not None else {},
+    lambda row: {SAMPLED_BOUND: row.sampled_below.level, "sampled_gap": row.sampled_gap} if row.sampled_below is not None else {},
+    lambda row: CLAIMS(row.certificate),
+    Record(expected_ride="ride", stability="certificate.stability.verdict"),
+    lambda row: GROWTH(row.controller),
+    margins=lambda row: row.margins.record if row.margins is not None else OMITTED,
+    lmi=LMI.all("certificate.proof"),
+    certificate=lambda row: to_record(row.certificate) | norm_record(row.sampled) | bound_record(row.sampled_below),
+    notes=lambda row: [*row.notes, *row.certificate.remarks],
+    failures="failures",
+    refine_lowers_by_at_least=lambda row: row.worth or None,
+    promises=if_any(lambda row: [promise.record for promise in row.controller.specifications]),
+    cross_check=lambda row: row.witness.record if row.witness is not None else None,
+    fragility=lambda row: row.fragile.record if row.fragile is not None else OMITTED,
+)
+
+
+def record(row: Row) -> dict[str, Any]:
+    """Returns a row as a JSON object in SI units: a design, or the reason why the design failed."""
+    return DESIGNED(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}

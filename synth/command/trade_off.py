@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, MARKED, Front, entry_of, front
-from synth.vehicle.trade_off.report import describe, front_figure, front_object, write_csv
+from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
 USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
 SHOWN = 3  # points of a short table
@@ -66,7 +66,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     stage.end()
     outputs["saved"] = options.save
     if options.json:
-        print_json({"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs)})
+        print_json({"vehicle": vehicle.kind.name, **RECORD(trade_off), **written(outputs)})
     else:
         title = titled(vehicle.kind.name, vehicle.source)
         document = replace(describe(trade_off, most=MARKED if options.verbose else SHOWN), title="")

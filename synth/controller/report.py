@@ -9,8 +9,8 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError, listing
 from models.common.extensions import FEATURES
-from models.common.printed import NORM_DIGITS, as_name, finite, percent, rough
-from models.document.field import Field
+from models.common.printed import NORM_DIGITS, as_name, percent, rough
+from models.document.field import OMITTED, Field, Record
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw, gain_text
 from models.vehicle.controllers import NOMINAL
@@ -74,22 +74,16 @@ def norm_record(norm: SampledNorm | None) -> dict[str, float]:
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 
-def norm_object(norm: SampledNorm | None) -> dict[str, Any]:
-    """Returns the norm with its proof as JSON; empty if the norm is None."""
-    if norm is None:
-        return {}
-    return {SAMPLED_NORM: finite(norm.value), f"{SAMPLED_NORM}_proof": proof_object(norm) if norm.stable else None}
-
-
-def proof_object(norm: SampledNorm) -> dict[str, Any]:
-    """Returns the proof of a finite norm as JSON."""
-    return {
-        "above": norm.lower,
-        "below": norm.upper,
-        "reached": norm.reached,
-        "angle": finite(norm.angle),
-        "decided_within_a_period": norm.inside,
-    }
+PROOF = Record[SampledNorm](
+    above="lower",
+    below="upper",
+    reached="reached",
+    angle="angle",
+    decided_within_a_period="inside",
+)  # of a finite norm
+PROVED_NORM = Record[SampledNorm](
+    **{SAMPLED_NORM: lambda norm: norm.value, f"{SAMPLED_NORM}_proof": PROOF.all(lambda norm: norm if norm.stable else None)}
+)
 
 
 def built_words(vehicle: Vehicle) -> str:
@@ -245,9 +239,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     return notes
 
 
-def growth_object(controller: Controller) -> dict[str, float]:
-    """Returns the growth [1/s] of a law that is unstable by itself as a JSON object; empty for other laws."""
-    return {"law_growth": controller.law.growth} if controller.law.growth else {}
+GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED)  # [1/s], of a law that is unstable by itself
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:

@@ -9,7 +9,7 @@ from models.laws.linear import static_law
 from sim.runs.report import controller_notes
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, certify
-from synth.command.table import Row, details, row_object
+from synth.command.table import Row, details, record
 from synth.design.two_step import last_certified_gain, state_path, two_step_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -137,7 +137,7 @@ def test_speed_is_printed(paper):
     (remark,) = controller.certificate.remarks
     assert remark in [one.text for one in details(paper, Row("stiff", controller, (), ())).statements]
     assert remark in controller_notes(paper, controller)
-    assert row_object(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
+    assert record(Row("stiff", controller, ("a note",), ()))["notes"] == ["a note", remark]
 
 
 @pytest.mark.parametrize(("slow", "fast"), [(5e-5, 1e3), (1e-6, 1e4)])

@@ -10,7 +10,7 @@ from models.roads.rig import Rig
 from models.roads.road import under_wheels
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.eusama import DISPUTED, Plate, load_failures, load_object, minimum_loads
+from sim.studies.frequency.eusama import DISPUTED, RECORD, Plate, load_failures, minimum_loads
 from sim.studies.frequency.report import workshop
 from sim.studies.frequency.sweep import sweep
 from synth.vehicle.designer import design
@@ -148,7 +148,7 @@ def test_curve():
     assert straight.ratio == pytest.approx(curved.ratio, abs=1e-9)
     assert curved.measured < straight.measured - 0.02
     assert load_failures([curved]) == []
-    assert load_object([curved])["tyres"]["tyre_deflection"]["allowed"] is None
+    assert RECORD([curved])["tyres"]["tyre_deflection"]["allowed"] is None
 
 
 def test_the_document_names_the_end_and_the_dispute():

@@ -3,7 +3,7 @@
 import math
 
 from models.document.document import Table
-from models.document.field import Field, cells, json_object
+from models.document.field import Field, Record, cells
 from models.document.text import table_lines
 
 LENGTHS: tuple[Field[float | None], ...] = (
@@ -20,7 +20,7 @@ def test_one_quantity_in_three_forms():
     table = Table.of("lengths", "", LENGTHS, [1.23456])
     assert table_lines(table) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
     assert table == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
-    assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
+    assert Record(*LENGTHS)(1.23456) == {"length": 1.23456}
     for value, row in ((None, ("-", "-", "none")), (math.inf, ("-", "inf", "some"))):
         assert cells(LENGTHS, [value]) == (row,)
-        assert json_object(LENGTHS, value) == {"length": None}
+        assert Record(*LENGTHS)(value) == {"length": None}

@@ -12,9 +12,9 @@ import pytest
 from models.common.errors import InputError
 from models.document.figure import STYLES, Bars, Classes, Curve, Figure, Panel, styles
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.report.designs import other_ways
+from sim.studies.ride import over_roads as report_ride
 from synth.vehicle.designer import Designer
 from tests.commands.golden import QUICK, golden
 from tests.support.commands import prose

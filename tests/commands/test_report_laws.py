@@ -8,10 +8,10 @@ import pytest
 from models.common.printed import percent
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.ride import over_roads as report_ride
 from synth.vehicle.designer import Designer
 from tests.models.test_python_laws import vehicle_of
 
@@ -63,7 +63,7 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
 def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
     """A whole report of a law alone has its describing function and its ride from physics, and no margins, norms or map."""
     monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
-    monkeypatch.setattr("sim.report.worker_processes.processes", lambda *_: 0)  # these are of this process
+    monkeypatch.setattr("sim.report.processes.processes", lambda *_: 0)  # these are of this process
     for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
         monkeypatch.setattr(report_ride, name, value)
     found, _ = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)

@@ -9,7 +9,7 @@ from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import read_vehicle
 from sim.drive.__main__ import main as drive
 from sim.report.__main__ import main
-from sim.report.ride import _roughness_row
+from sim.studies.ride.over_roads import _roughness_row
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 

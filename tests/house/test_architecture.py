@@ -66,25 +66,25 @@ ROOMS = {
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers",
     "sim.recording": "models.document models.kinds models.vehicle models.roads synth.controller sim.drive sim.observers sim.runs",
-    "sim.studies": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
-    "synth.plant synth.analysis synth.controller synth.design synth.vehicle sim.drive sim.linear sim.observers sim.runs",
+    "sim.studies": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
+    "models.roads synth.plant synth.analysis synth.controller synth.design synth.vehicle synth.command sim.drive sim.linear "
+    "sim.observers sim.runs",
     "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.recording sim.studies",
     "sim.bump": "models.vehicle models.roads sim.command",
     "sim.campaign": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
     "synth.plant synth.controller synth.vehicle sim.drive sim.observers sim.runs sim.studies sim.command",
-    DRIVE: "sim.command",
-    "sim.envelope": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
-    "sim.studies sim.command",
-    "sim.gallery": "models.document sim.studies",
+    DRIVE: "models.vehicle sim.command",
+    "sim.envelope": "sim.command",
+    "sim.gallery": "sim.command",
     "sim.inspect": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "
     "sim.drive sim.linear sim.observers sim.runs sim.recording sim.studies",
-    "sim.margins": "models.document models.vehicle synth.controller synth.vehicle sim.linear sim.runs sim.studies sim.command",
+    "sim.margins": "sim.command",
     "sim.new": "models.vehicle",
-    "sim.report": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
+    "sim.report": "models.document models.laws models.vehicle models.roads synth.analysis "
     "synth.controller synth.vehicle synth.command sim.drive sim.linear sim.observers sim.runs sim.studies sim.command",
-    "sim.sweep": "models models.document models.vehicle models.roads synth.vehicle sim.runs sim.studies sim.command",
-    "sim.__main__": "",
+    "sim.sweep": "sim.command",
+    "sim.__main__": "sim.studies",
 }
 OF_ALL = "models.common"
 # Ceilings of each package: its folders, on how many floors these stand, each on those below, and the arrows from one to another.

@@ -22,7 +22,7 @@ from sim.bump import main
 from sim.drive.regime import CURVE, REGIME_ENDS, departures, reached
 from sim.inspect.findings import different
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
-from sim.runs.report import reasons, run_object, verdict
+from sim.runs.report import RUN, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from synth.controller.report import OF, ideal_lines
@@ -174,12 +174,12 @@ def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, na
     assert run.line_errors == pytest.approx(apart, abs=2e-3 if kind == "half_car" else 1e-5)  # geometry, RK4
     worst = max(apart, key=apart.__getitem__)
     assert apart[worst] > 0.1
-    line, off = run_object(run)["linearisation"], f"off by {percent(run.line_errors[worst])} of a peak"
+    line, off = RUN(run)["linearisation"], f"off by {percent(run.line_errors[worst])} of a peak"
     assert line == {"error": run.line_errors[worst], "signal": worst, "over": "peak in MuJoCo"}
     said = "the nonlinear response with the characteristics applies over the whole run; its linearisation at equilibrium is"
     assert f"{said} {off}" in verdict(run).text
     assert any(off in one.text and f"(worst: {worst})" in one.text for one in reasons(run))
-    now = run_object(run)
+    now = RUN(run)
     older = {key: value for key, value in now.items() if key not in ("linearisation", "reference")}
     for signal, one in now["signals"].items():
         errors = {key: one["error"][key] for key in ("sampled", "continuous")}
@@ -187,7 +187,7 @@ def test_the_error_of_the_linearisation_is_that_of_a_car_without_curves(kind, na
     assert not list(different(older, now))  # an older log still proves what it claims
     (linear,) = run_controllers(read_vehicle(kind), [design(read_vehicle(kind), "passive")], ROAD, time)
     assert "; linear analysis applies over the whole run; energy" in verdict(linear).text
-    assert not {"linearisation", "reference"} & {*run_object(linear)}
+    assert not {"linearisation", "reference"} & {*RUN(linear)}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from models.roads.road import Bump
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main as bump
-from sim.runs.report import controller_notes, controller_object, run_object, verdict
+from sim.runs.report import RUN, controller_notes, controller_record, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import Meter, measure
 from synth.__main__ import main as synth
@@ -79,8 +79,8 @@ def test_keys_change_a_law():
     (found,) = law.coefficients(np.array([[0.2, 0.1]]), numbers_of([law], [parse_vehicle(text)]))
     assert found == pytest.approx([4000.0])  # 2000 N s/m * 0.2 m/s over 0.1 m/s
     assert "sky_damping 2000" in controller_notes(parse_vehicle(text), controller)[0]
-    assert controller_object(controller)["sky_damping"] == 2000.0
-    assert controller_object(controller)["norm"] is None
+    assert controller_record(controller)["sky_damping"] == 2000.0
+    assert controller_record(controller)["norm"] is None
 
 
 def test_modes_are_corners():
@@ -178,7 +178,7 @@ def test_peak_and_rms_use_both_sides_of_a_decision(law, speed, peak_of, low):
     vehicle = parse_vehicle(f'{QUARTER}{DAMPER}[controllers.law]\nsemi_active = "{law}"\n')
     road, time = Bump(0.05, 5.0, speed), sample_times(vehicle, 0.8, 1e-3)
     (run,) = run_controllers(vehicle, [vehicle.controllers["law"].driver()], road, time)
-    signals, whole = run_object(run)["signals"], measure(vehicle, run.physics, 0)
+    signals, whole = RUN(run)["signals"], measure(vehicle, run.physics, 0)
     sides = integrated(COEFFICIENTS[law], road, time)
     for name, exact in zip(("sprung_acceleration", "control_force"), np.moveaxis(sides, 2, 0), strict=True):
         peak, rms = np.abs(exact).max(), np.sqrt(np.mean((exact[:, :-1] ** 2 + exact[:, 1:] ** 2) / 2))

@@ -13,7 +13,7 @@ from models.roads.loaded import RoadWithLoads
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.sampled_response import largest_timestep
-from sim.runs.report import reasons, run_object, verdict
+from sim.runs.report import RUN, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
@@ -204,7 +204,7 @@ def test_what_is_missing_is_said():
     asked = physics["control_force"] + physics["missing_force"]
     rms, share = float(np.std(physics["missing_force"])), float(np.mean(np.abs(physics["missing_force"]) > 1e-3))
     rms = float(np.sqrt(np.mean(physics["missing_force"] ** 2)) / np.sqrt(np.mean(asked**2)))
-    found = run_object(run)["dampers"]["shortfall"]["control_force"]
+    found = RUN(run)["dampers"]["shortfall"]["control_force"]
     assert found.pop("late") is None
     assert found == pytest.approx({"rms": rms, "time": share, "softest": 300.0, "hardest": 4000.0}, rel=1e-9)
     first = float(physics.time[np.argmax(np.abs(physics["missing_force"]) > 1e-3)])
@@ -215,9 +215,9 @@ def test_what_is_missing_is_said():
     assert run.agreement.until == np.inf
     assert run.agreement.ended["damper"] == first
     (none,) = runs(QUARTER + DAMPER, "passive")
-    assert "dampers" in run_object(none)
+    assert "dampers" in RUN(none)
     assert not any("damp" in line.text for line in reasons(none))
-    assert "dampers" not in run_object(runs(QUARTER, "passive", duration=0.1)[0])
+    assert "dampers" not in RUN(runs(QUARTER, "passive", duration=0.1)[0])
 
 
 def test_what_a_valve_keeps_back_is_said():
@@ -231,7 +231,7 @@ def test_what_a_valve_keeps_back_is_said():
     for k in range(len(v) - 1):
         acting[k + 1] = set_to[k] + (acting[k] - set_to[k]) * np.exp(-2.0 * h)
     left = float(np.sqrt(np.mean((asked + acting * v) ** 2)) / np.sqrt(np.mean(asked**2)))
-    found = run_object(run)["dampers"]["shortfall"]["control_force"]
+    found = RUN(run)["dampers"]["shortfall"]["control_force"]
     assert found["late"] == pytest.approx(left, rel=1e-4)  # RK4's own exponential, and where v is 0
     assert found["late"] > found["rms"]
 

@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive.regime import reached
-from sim.runs.report import reasons, run_object, verdict
+from sim.runs.report import RUN, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note
 from sim.studies.ride.expected import expect
@@ -60,7 +60,7 @@ stop_stiffness = 1e5
 def driven(kind, road=BUMP, duration=0.6):
     """Returns the run of the passive vehicle, after what `sim.bump` prints of it and its object in JSON."""
     (run,) = run_controllers(kind, [Designer(kind).design("passive")], road, sample_times(kind, duration, 1e-3))
-    return run, run_object(run), stop_note(run)
+    return run, RUN(run), stop_note(run)
 
 
 def test_each_stop_is_named_with_squeeze_force_and_time():

@@ -9,8 +9,8 @@ import pytest
 import synth.command.trade_off
 from models.common.errors import InputError
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.report.front import measure
-from sim.report.scope import Subject
+from sim.studies.frequency.trade_off import measure
+from sim.studies.subject import Subject
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
@@ -153,7 +153,7 @@ def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
             assert one["values"][axis]["value"] == pytest.approx(gains.max(), rel=1e-4)  # of the grid; measured 5e-5
     read = parse_vehicle(file.read_text())
     designed = synth.command.trade_off.front()  # pyright: ignore[reportCallIssue] (the one that was found)
-    scope = Subject(read, Designer(read), (), 1e-3, True, lambda text: None)
+    scope = Subject(read, Designer(read), (), 1e-3, True)
     assert np.isnan(measure(scope, designed, 0, designed.axes[0]))  # no road alone reaches it
 
 

@@ -28,7 +28,7 @@ from sim.campaign.file import read_campaign
 from sim.campaign.manifest import locked, read_manifest
 from sim.runs.run import run_controllers
 from sim.studies.ride.metrics import metrics_of
-from sim.studies.ride.run_metrics import driven_roughness, measure_run, roughness_object
+from sim.studies.ride.run_metrics import driven_roughness, measure_run, roughness
 from synth.vehicle.designer import Designer
 from tests.models.test_semi_active_dampers import BOTH
 from tests.support.commands import prose, refused
@@ -163,7 +163,7 @@ sprung_mass = {{ uniform = [0.8, 1.2], relative = true }}
         (alone,) = run_controllers(vehicle, [Designer(nominal).design(row["controller"])], road, campaign.time)
         found, exact = measure_run(alone, campaign.first if choice.random else 0), row["vehicle"] == "half_car"
         exact |= row["vehicle"] != "curved.toml" and row["controller"] == "passive"
-        assert row["iri"] == roughness_object(driven_roughness(vehicle, road, campaign.time))["iri"]["road"] > 1
+        assert row["iri"] == roughness(driven_roughness(vehicle, road, campaign.time))["iri"]["road"] > 1
         begun = (None, None) if found.settled is None else (pytest.approx(found.settled.share), found.settled.signal)
         assert (row["settled"], row["settled_signal"]) == begun
         assert row["expected_error"] == (None if found.error is None else pytest.approx(found.error, rel=1e-6))

@@ -17,11 +17,11 @@ from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
 from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
-from sim.report.contents import EXPORTED, pieces_of
 from sim.report.exported import exported_section
-from sim.report.scope import Subject
+from sim.report.page import requests_of
 from sim.runs.report import code_notes, reasons
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.subject import Subject
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.controller.controller import AnyController, Controller
@@ -245,8 +245,8 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Subject(vehicle, designer, (own,), STEP, True, print, exported=driver)
-    assert (EXPORTED, "") in pieces_of(scope)
+    scope = Subject(vehicle, designer, (own,), STEP, True, exported=driver)
+    assert ("exported", "") in requests_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)
     assert (

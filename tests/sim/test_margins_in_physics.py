@@ -16,7 +16,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.margins import main
 from sim.studies.stability.edge import StabilityEdge, search_and_run, smallest_unstable
 from sim.studies.stability.margin_search import GainMargin, LoopMargins, find_margins, searches
-from sim.studies.stability.report import MARGINS, _loop_object, _loop_rows
+from sim.studies.stability.report import LOOP, MARGINS, _loop_rows
 from sim.studies.stability.study import StabilityMargins
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
@@ -185,7 +185,7 @@ def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
     one = dataclasses.replace(one, gain=gain, gain_lower=lower)
     row = told_of(paper, designer.design("I"), one)["gain, factor"]
     assert gain.found == pytest.approx(one.predicted.gain, rel=1e-6)
-    assert ("extrapolated" in row) == _loop_object(one)["gain"]["extrapolated"] == step
+    assert ("extrapolated" in row) == LOOP(one)["gain"]["extrapolated"] == step
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
 from sim.studies.ride.standing import digits
-from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_object, line_words
+from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_words, record
 from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
@@ -157,7 +157,7 @@ def test_where_second_order_is_not_enough_that_is_said():
     line = equivalent(vehicle, design(vehicle, "I"), Iso8608("D", 0, 20.0).spectrum, 1e-3)
     assert line is not None
     assert line.remainder is None
-    assert line_object(vehicle, line)["second_order"] is False
+    assert record(vehicle, line)["second_order"] is False
     said = " ".join(line_words(vehicle, line))
     assert "without second-order remainders" in said
 

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from subprocess import Popen
 from typing import Any, TypeVar
@@ -21,6 +22,8 @@ ROOT = Path(__file__).parents[2]
 
 def main_of(command: str) -> Callable[[list[str]], int]:
     """The `main` of a command, which is a module, or a package whose `__main__` has it."""
+    if command.startswith("sim "):  # a study without a module of its own
+        return partial(importlib.import_module("sim.command.study").main, command.removeprefix("sim "))
     module = importlib.import_module(command)
     return (module if hasattr(module, "main") else importlib.import_module(f"{command}.__main__")).main
 

@@ -18,7 +18,7 @@ from sim.drive.drive import drive
 from sim.drive.regime import END_NAMES, RATE_LIMIT, SATURATION, scaled_reached, utilisation
 from sim.inspect.__main__ import main as inspect
 from sim.observers.ends import Ends
-from sim.runs.report import controller_notes, controller_object, reasons
+from sim.runs.report import controller_notes, controller_record, reasons
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
 from tests.support.analysed import simulate_inputs as simulate
@@ -66,7 +66,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert said in controller_notes(vehicle, kept.controller)
     assert not any("winds up" in line for line in controller_notes(vehicle, kept.controller))
     assert any("winds up" in line for line in controller_notes(vehicle, free.controller))
-    assert controller_object(kept.controller)["anti_windup"] == RATE
+    assert controller_record(kept.controller)["anti_windup"] == RATE
 
 
 @pytest.mark.parametrize("how", [*attacks([{}]), {"sample_period": 0.002, "delay": 1}], ids=["ideal", "sampled and late"])

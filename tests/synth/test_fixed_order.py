@@ -14,7 +14,7 @@ from models.laws.design_request import LawStructure
 from models.laws.law_structure import pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.margins import _check_loop
+from sim.studies.stability.command import check_loop
 from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
@@ -302,7 +302,7 @@ def test_an_unstable_pid_says_what_its_signs_mean():
     (failure,) = answers([Row("mine", wrong, (), wrong.certificate.failures)], True)
     assert failure.text.startswith("`mine` FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd lifts the body")
     with pytest.raises(InputError, match="give negative gains to oppose it"):
-        _check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)
+        check_loop(designer.vehicle, designer.vehicle, wrong, 1e-3)
     right = quarter_car(pid_section(kp=-2000.0, ki=-500.0)).design("mine")
     assert sign_note(right) == ""
 

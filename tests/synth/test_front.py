@@ -14,8 +14,8 @@ import synth.vehicle.trade_off.lower_bound
 from models.common.errors import InputError
 from models.laws.linear import static_law
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.report.front import front_section, measure
-from sim.report.scope import Subject
+from sim.studies.frequency.trade_off import front_section, measure
+from sim.studies.subject import Subject
 from synth.__main__ import main
 from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of
@@ -248,11 +248,11 @@ def test_bounds_of_the_section_are_kept():
 def test_report(monkeypatch, few):
     """A report with a front has its designs and what MuJoCo measures at some; in its figure they are what its table says."""
     pytest.importorskip("jinja2", reason="needs the extra [report]")
-    monkeypatch.setattr("sim.report.front.front", lambda vehicle, name, axes, *_: replace(few, axes=axes))
+    monkeypatch.setattr("sim.studies.frequency.trade_off.front", lambda vehicle, name, axes, *_: replace(few, axes=axes))
     monkeypatch.setattr(synth.vehicle.trade_off.front, "MARKED", 2)  # each is driven over two sinusoids
     designer = Designer(few.vehicle)
-    scope = Subject(few.vehicle, designer, (designer.design("I"),), 2e-3, True, lambda text: None, front="ride:travel")
-    section = front_section(scope)
+    scope = Subject(few.vehicle, designer, (designer.design("I"),), 2e-3, True, front="ride:travel")
+    section = front_section(scope, lambda text: None)
     (table,), (figure,) = section.tables, section.figures
     norms = few.values[few.marked]
     assert [[float(row[1]), float(row[3])] for row in table.rows[:2]] == [
@@ -271,7 +271,7 @@ def test_report(monkeypatch, few):
 @pytest.mark.attack
 def test_mujoco_tends_to_the_norm(few):
     """The gain of a design in MuJoCo tends to its norm with the first power of the step over which forces are held."""
-    scope = Subject(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
+    scope = Subject(few.vehicle, Designer(few.vehicle), (), 1e-3, True)
     off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
     assert 0 < abs(off[1]) < 0.002
     assert off[0] / off[1] == pytest.approx(2, rel=0.1)  # the square of the step is left

@@ -18,13 +18,13 @@ from sim.drive.drive import drive
 from sim.drive.loop import DIVERGED, Block
 from sim.observers.ends import Ends
 from sim.observers.results import BALANCED
-from sim.runs.report import controller_notes, controller_object, events, reasons, verdict
+from sim.runs.report import controller_notes, controller_record, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics
 from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import describe
 from synth import design_controllers as design
-from synth.command.table import Row, details, row_object
+from synth.command.table import Row, details, record
 
 BUMP = Bump(height=0.02, length=4.0, speed=12.0)
 SLOW, FAST = 30.0, 1500.0  # 1/s: beyond 1e10 N within a second, and beyond all numbers within half of it
@@ -88,7 +88,7 @@ def test_a_law_that_is_unstable_by_itself_is_called_so(wound_up):
         assert [line.strip() for line in lines if said in line] == [
             f"{said} and winds up when forces are clipped; anti_windup bounds its states"
         ]
-    for found in (controller_object(controller), row_object(row)):
+    for found in (controller_record(controller), record(row)):
         assert found["law_growth"] == pytest.approx(SLOW)
     free = replace(vehicle, limits=Limits(), dampers={})
     assert said in controller_notes(free, controller)

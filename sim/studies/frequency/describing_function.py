@@ -7,12 +7,11 @@ transients. Roads of other heights may give other results.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite, finite_pairs
+from models.document.field import Record
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import ended_by
@@ -121,21 +120,17 @@ def describing_failures(one: DescribingFunction) -> list[str]:
     return [f"every run {'broke off' if one.law_diverged.any() else 'diverged'}, so nothing is measured"]
 
 
-def describing_object(one: DescribingFunction) -> dict[str, Any]:
-    """Returns the describing function as a JSON object: SI units, complex numbers as [real, imaginary], None for missing
-    values."""
-    return {
-        "controller": one.controller.name,
-        **one.controller.law.record,
-        "without": one.without or None,
-        "omega": one.omega.tolist(),
-        "signals": {
-            name: {"measured": finite_pairs(one.measured[:, i]), "outside": [finite(share) for share in one.outside[:, i]]}
-            for i, name in enumerate(one.outputs)
-        },
-        "norm": None,
-        "gains": [finite(gain) for gain in one.gains],
-        "drift": finite(one.drift),
-        "ended": list(one.ended),
-        "failures": describing_failures(one),
-    }
+RECORD = Record[DescribingFunction](
+    Record(controller=lambda one: one.controller.name),
+    lambda one: one.controller.law.record,
+    without=lambda one: one.without or None,
+    omega="omega",
+    signals=lambda one: {
+        name: {"measured": one.measured[:, i], "outside": one.outside[:, i]} for i, name in enumerate(one.outputs)
+    },
+    norm=lambda one: None,
+    gains="gains",
+    drift="drift",
+    ended="ended",
+    failures=describing_failures,
+)

@@ -20,8 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.printed import finite
-from models.document.field import Field
+from models.document.field import Field, Record
 from models.kinds.kind import Parameters, Wheel
 from models.roads.road import Road
 from models.vehicle.limits_and_implementation import steps_per_sample
@@ -209,10 +208,15 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
     ]
 
 
-def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
-    """Returns the minimum loads as a JSON object."""
-    tyres = {}
-    for one in loads:
-        found = {"mujoco": finite(one.measured), "allowed": finite(one.allowed), "ended": list(one.ended)}
-        tyres[one.tyre] = {"ratio": one.ratio, "omega": one.omega, "driven": one.driven, **found}
-    return {"disputed": DISPUTED.removeprefix("disputed: "), "tyres": tyres}
+TYRE = Record[MinimumLoad](
+    "ratio",
+    "omega",
+    "driven",
+    mujoco="measured",
+    allowed="allowed",
+    ended="ended",
+)
+RECORD = Record[Sequence[MinimumLoad]](
+    disputed=lambda loads: DISPUTED.removeprefix("disputed: "),
+    tyres=TYRE.all(lambda loads: {one.tyre: one for one in loads}),
+)

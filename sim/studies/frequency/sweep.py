@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from models.common.printed import digits, finite, finite_pairs
-from models.document.field import Field
+from models.common.printed import digits
+from models.document.field import OMITTED, Field, Record
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.runs.agreement import COARSEST, SLACK
-from sim.studies.frequency.describing_function import DescribingFunction, describing_failures, describing_object
-from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_object, minimum_loads
+from sim.studies.frequency import describing_function, eusama
+from sim.studies.frequency.describing_function import DescribingFunction, describing_failures
+from sim.studies.frequency.eusama import MinimumLoad, load_failures, minimum_loads
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.studies.frequency.worst_case_gain import Extremes, extremes
 from synth.analysis.specification import SampledNorm
@@ -172,32 +173,38 @@ def holds(one: Sweep | DescribingFunction) -> bool:
     return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 
-def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
-    """Returns a sweep as a JSON object: SI units, complex numbers as [real, imaginary], None for missing values."""
-    if isinstance(one, DescribingFunction):
-        return describing_object(one)
-    lines, norm, continuous = one.lines, one.extremes.worst, one.controller.certificate.norm.value
+def _signals(one: Sweep) -> dict[str, Any]:
+    """Returns the responses of every output signal for JSON, and their largest errors."""
+    lines = one.lines
     error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
     return {
-        "controller": lines.controller.name,
-        "without": one.without or None,
-        "omega": lines.omega.tolist(),
-        "signals": {
-            name: {
-                **{key: finite_pairs(getattr(lines, key)[:, i]) for key in ("measured", "sampled", "continuous")},
-                "error": {key: finite(value[i]) for key, value in error.items()},
-            }
-            for i, name in enumerate(lines.outputs)
-        },
-        "order": finite(lines.order),
-        "invariants": [
-            {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": finite(i.measured)}
-            for i in one.extremes.invariants
-        ],
-        "norm": {"sampled": norm.gain, "peak_frequency": norm.omega, "continuous": finite(continuous)},
-        **({} if one.sampled is None else {"sampled_norm": one.sampled.value}),
-        "minimum_load": load_object(one.loads),
-        "gains": {name: finite(gain) for name, gain in one.gains.items()},
-        "ended": list(one.ended),
-        "failures": failures(one),
+        name: {key: getattr(lines, key)[:, i] for key in ("measured", "sampled", "continuous")}
+        | {"error": {key: value[i] for key, value in error.items()}}
+        for i, name in enumerate(lines.outputs)
     }
+
+
+INVARIANT = Record("name", "omega", "expected", "measured")
+RECORD = Record[Sweep](
+    controller="controller.name",
+    without=lambda one: one.without or None,
+    omega="lines.omega",
+    signals=_signals,
+    order="lines.order",
+    invariants=INVARIANT.all("extremes.invariants"),
+    norm=Record(
+        sampled="extremes.worst.gain",
+        peak_frequency="extremes.worst.omega",
+        continuous="controller.certificate.norm.value",
+    ),
+    sampled_norm=lambda one: OMITTED if one.sampled is None else one.sampled.value,
+    minimum_load=lambda one: eusama.RECORD(one.loads),
+    gains="gains",
+    ended="ended",
+    failures=failures,
+)
+
+
+def record(one: Sweep | DescribingFunction) -> dict[str, Any]:
+    """Returns a sweep or a describing function as a JSON object: SI units, complex numbers as [real, imaginary]."""
+    return describing_function.RECORD(one) if isinstance(one, DescribingFunction) else RECORD(one)

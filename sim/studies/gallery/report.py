@@ -1,10 +1,11 @@
 """The gallery as documents and as JSON: published numbers next to ours, and the sources that are in it."""
 
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import Field, json_object
+from models.document.field import Field, Record
 from models.document.text import joined
 from sim.studies.gallery.entries import SOURCES, Entry, names
 from sim.studies.gallery.numbers import DIFFERS, ON_ITS_GRID, REPRODUCED, WRONG, ComparedNumber
@@ -73,28 +74,21 @@ def sources(entries: Sequence[Entry]) -> tuple[list[str], list[str]]:
     return [one for one in SOURCES if one in with_numbers], [one for one in SOURCES if one in without - with_numbers]
 
 
-def gallery_object(results: Sequence[Result]) -> dict[str, Any]:
-    """Returns the results for JSON."""
+NUMBER = Record[ComparedNumber](
+    *NUMBERS,
+    exact="exact",
+    printed="printed.value",
+    **{key: attrgetter(f"printed.{key}") for key in ("digits", "unit", "reason", "derived")},
+)
+ENTRY = Record[Result](
+    **{key: lambda of, key=key: getattr(of[0], key) for key in ("name", "title", "about", "source", "licence", "sources")},
+    numbers=NUMBER.all(lambda of: [*of[1]]),
+    missing=lambda of: of[0].missing,
+)
+
+
+def record(results: Sequence[Result]) -> dict[str, Any]:
+    """Returns the results as a JSON object."""
     with_numbers, without = sources([entry for entry, _ in results])
-    return {
-        "entries": [_entry_object(*each) for each in results],
-        "sources": {"all": list(SOURCES), "with_numbers": with_numbers, "not_expressible": without},
-    }
-
-
-def _entry_object(entry: Entry, numbers: Sequence[ComparedNumber]) -> dict[str, Any]:
-    copied = ("digits", "unit", "reason", "derived")
-    return {
-        **{key: getattr(entry, key) for key in ("name", "title", "about", "source", "licence")},
-        "sources": list(entry.sources),
-        "numbers": [
-            {
-                **json_object(NUMBERS, one),
-                "exact": one.exact,
-                "printed": one.printed.value,
-                **{key: getattr(one.printed, key) for key in copied},
-            }
-            for one in numbers
-        ],
-        "missing": [vars(one) for one in entry.missing],
-    }
+    known = {"all": list(SOURCES), "with_numbers": with_numbers, "not_expressible": without}
+    return {"entries": [ENTRY(each) for each in results], "sources": known}

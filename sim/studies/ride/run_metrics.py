@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import as_name, finite, percent, rough
+from models.common.printed import as_name, percent, rough
 from models.document.document import Document, Table, notes
-from models.document.field import Detail, Field, json_object
+from models.document.field import OMITTED, Detail, Field, Record
 from models.document.text import Shown, facts
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
@@ -32,7 +32,8 @@ from sim.studies.ride.expected import (
 )
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
 from sim.studies.ride.standing import digits
-from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
+from sim.studies.ride.statistical_linearisation import Equivalent, line_words
+from sim.studies.ride.statistical_linearisation import record as of_line
 from synth.controller.controller import AnyController
 
 UNIT = "m/km"
@@ -51,12 +52,9 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
 
-def roughness_object(roughness: Sequence[Roughness]) -> dict[str, Any]:
-    """Returns a road's IRI for JSON; empty for a road without one."""
-    return {
-        _name(one, roughness): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread}
-        for one in roughness
-    }
+def roughness(found: Sequence[Roughness]) -> dict[str, Any]:
+    """Returns a road's IRI by its name in JSON; empty for a road without one."""
+    return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
 def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
@@ -356,17 +354,17 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
     return Document("", (*tables, *notes(*([said] if each else []), detail=detail)))
 
 
-def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:
-    """Returns the metrics for JSON, with None for infinite or absent values."""
-    broke = run.broke_off
-    whole: dict[str, Any] = {
-        "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
-        "settled": metrics.settled and asdict(metrics.settled),
-        "expected_error": finite(metrics.error),
-        "metrics": {name: json_object(METRIC, one) | {"approximate": one.approximate} for name, one in metrics.metrics.items()},
-    }
-    if metrics.line is not None and metrics.line.rounds:
-        whole["expected_line"] = line_object(run.vehicle, metrics.line)
-    if metrics.static is not None:
-        whole["static_angles"] = dict(metrics.static)
-    return whole
+OF_METRIC = Record[MetricComparison](*METRIC, approximate=lambda one: one.approximate)
+
+
+def record(run: Run, metrics: RunMetrics) -> dict[str, Any]:
+    """Returns the metrics of a run as a JSON object."""
+    broke, line = run.broke_off, metrics.line
+    return Record[RunMetrics](
+        broke_off=lambda _: {"by": broke[0], "at": broke[1]} if broke else None,
+        settled="settled",
+        expected_error="error",
+        metrics=OF_METRIC.all("metrics"),
+        expected_line=lambda _: of_line(run.vehicle, line) if line is not None and line.rounds else OMITTED,
+        static_angles=lambda of: OMITTED if of.static is None else of.static,
+    )(metrics)

@@ -12,7 +12,7 @@ from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.printed import GAP, wrapped
 from models.document.document import Table
-from models.document.field import Field, json_object
+from models.document.field import Field, Record, if_any
 from models.document.text import BEST, CHANGE, names_text, table_lines
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
@@ -157,17 +157,19 @@ def some_names(names: Sequence[str]) -> str:
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
-def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
-    """Returns the table for JSON, in SI units, with the best of each column."""
-    rows = [
-        {"controller": one.controller}
-        | {key: text for key, text in (("vehicle", one.vehicle), ("without", one.without)) if text}
-        | json_object(FIELDS, one)
-        | {key: value for key, value in one.values.items() if key not in COLUMNS}
-        | ({"strokes": {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}} if one.strokes else {})
-        for one in standings
-    ]
-    return {"controllers": rows, "best": best(standings)}
+ROW = Record[Standing](
+    Record(
+        controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
+    ),
+    *FIELDS,
+    lambda one: {key: value for key, value in one.values.items() if key not in COLUMNS},
+    strokes=if_any(lambda one: {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}),
+)
+
+
+def record_of_standings(standings: Sequence[Standing]) -> dict[str, Any]:
+    """Returns the table as a JSON object, in SI units, with the best of each column."""
+    return {"controllers": [ROW(one) for one in standings], "best": best(standings)}
 
 
 def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Field[Standing]] = ()) -> Table:

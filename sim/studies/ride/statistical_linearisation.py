@@ -285,9 +285,9 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
-    record, usual = line_object(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.parts.with_curve}
-    slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in record["slopes"].items()]
-    slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in record["mean"].items()]
+    whole, usual = record(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.parts.with_curve}
+    slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in whole["slopes"].items()]
+    slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in whole["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.parts.with_curve)
     note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
     rest, accuracy = line.remainder, "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. "
@@ -314,8 +314,8 @@ def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
     return float(line.damping if one.damps else line.stiffness)
 
 
-def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
-    """Returns the equivalent line for JSON, in SI units."""
+def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
+    """Returns the equivalent line as a JSON object, in SI units."""
     bent = {one.name: one for one in vehicle.parts.with_curve if one.curve.bent}
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {

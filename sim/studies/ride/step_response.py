@@ -14,9 +14,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import as_name, finite
+from models.common.printed import as_name
 from models.document.document import Block, Document, Table, notes
-from models.document.field import Field, json_object
+from models.document.field import Field, Record
 from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.drive.response import loudest_alike
@@ -190,19 +190,15 @@ def _lasting(run: Run) -> Array:
     return closed.response(np.zeros(1))[0].sum(axis=1)
 
 
-def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
-    """Returns the step metrics of a run for JSON, `linear` being the sampled response as everywhere in files."""
-
-    def of_route(one: StepMetrics | None) -> dict[str, Any] | None:
-        settled = {} if one is None else {"settling_time": finite(one.settling_time), "settled": one.settled}
-        return None if one is None else json_object(COLUMNS, one) | settled
-
-    signals = {
-        name: {"unit": one.unit, "final": one.final, "half_band": one.half_band}
-        | {"mujoco": of_route(one.mujoco), "linear": of_route(one.sampled), "continuous": of_route(one.continuous)}
-        for name, one in metrics.items()
-    }
-    return {"controller": run.controller.name, "signals": signals}
+ROUTE = Record[StepMetrics](*COLUMNS, settling_time=lambda one: one.settling_time, settled=lambda one: one.settled)
+RECORD = Record[SignalSteps](
+    "unit",
+    "final",
+    "half_band",
+    mujoco=ROUTE.all("mujoco"),
+    linear=ROUTE.all("sampled"),  # as everywhere in files
+    continuous=ROUTE.all("continuous"),
+)
 
 
 def describe(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float) -> Document:

@@ -1,13 +1,13 @@
-"""Margins as documents and JSON."""
+"""Margins as documents, and their records."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from models.common.printed import as_name, finite
 from models.document.document import NOTE, Document, Pivot, Statement, Table, apart, notes
-from models.document.field import Field
+from models.document.field import Field, Record, if_any
 from models.document.text import names_text
 from models.parts.lines import lines_at_rest
 from models.vehicle.vehicle import Vehicle
@@ -58,12 +58,22 @@ PREDICTED = Field[Row]("predicted", lambda row: row.predicted, number)
 USUAL = Field[Row]("dB or °", lambda row: row.usual)
 FOUND = Field[Row]("MuJoCo", lambda row: row.found, number)
 MARGINS = (MARGIN, PREDICTED, USUAL, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
+Value = Callable[[LoopMargins], float]
+
+
+def _margin(label: str, predicted: Value, found: Value, scale: float = 1.0, unit: str = "") -> tuple[Field[LoopMargins], ...]:
+    """Returns the fields of a margin: predicted, and found in MuJoCo."""
+    return Field(label, predicted, number, scale, "predicted", unit), Field("in MuJoCo", found, number, scale, "found", unit)
+
+
+GAIN = _margin("gain", lambda of: of.predicted.gain, lambda of: of.gain.found)
+LOWER = _margin("lower gain", lambda of: of.predicted.gain_lower, lambda of: of.found_gain_lower)
+PHASE = _margin("phase", lambda of: of.predicted.phase, lambda of: of.found_phase)
+DELAY = _margin("delay", lambda of: of.predicted.delay, lambda of: of.found_delay, 1e3, "ms")
+PERIOD = _margin("sample period", lambda of: of.predicted.sample_period, lambda of: of.found_sample_period, 1e3, "ms")
 LOOPS: tuple[Field[tuple[str, LoopMargins]], ...] = (
     Field("loop, the others closed", lambda of: of[0]),
-    Field("gain", lambda of: of[1].predicted.gain, number),
-    Field("in MuJoCo", lambda of: of[1].gain.found, number),
-    Field("delay", lambda of: of[1].predicted.delay, number, 1e3, unit="ms"),
-    Field("in MuJoCo", lambda of: of[1].found_delay, number, 1e3, unit="ms"),
+    *(one.of(lambda of: of[1]) for one in (*GAIN, *DELAY)),
 )
 COMPARED: tuple[Field[tuple[str, Row]], ...] = (
     Field("controller", lambda of: of[0]),
@@ -75,49 +85,51 @@ COMPARED: tuple[Field[tuple[str, Row]], ...] = (
 FACTOR = Field[float]("factor", float, ".3g")
 
 
-def margins_object(found: StabilityMargins) -> dict[str, Any]:
-    """Returns the margins of a controller as a JSON object: SI units, None for infinite or missing values.
-
-    Margins of gain, phase and disk are those of the implemented loop, if that differs; `ideal` then has the ideal ones.
-    """
-    controller = found.controller
-    objects = {name: _loop_object(one) for name, one in found.loops.items()}
-    for name, one in found.built.items():
-        implemented, ideal = ({key: of[key] for key in IMPLEMENTED} for of in (_loop_object(one), objects[name]))
-        objects[name] |= implemented | {"ideal": ideal}
-    promises = [promise.record for promise in controller.robustness]
-    return {
-        "controller": controller.name,
-        **objects.pop(""),
-        "loops": objects,
-        **({"weighted_errors": promises} if promises else {}),
-        "loop": " ".join(loop_texts(found.vehicle)) or None,
-    }
-
-
-def _loop_object(one: LoopMargins) -> dict[str, Any]:
-    of, disk = one.predicted, one.predicted.disk
-    lower = {"predicted": of.gain_lower or None, "found": finite(one.found_gain_lower) or None}
-    lead = {"predicted": finite(of.lead), "frequency": finite(of.lead_frequency)}
-    lag = {"frequency": finite(of.frequency), "smallest_lag": finite(of.smallest_phase)}
-    at = {"phase": disk.phase, "frequency": finite(disk.frequency)}
-    return {
-        "gain": _pair(of.gain, one.gain.found) | {"lower": lower} | _sampled_object(one.gain),
-        "phase": _pair(of.phase, one.found_phase) | lag | {"lead": lead, "smallest": finite(min(of.smallest_phase, of.lead))},
-        "disk": {"margin": disk.size, "gain": [disk.gain[0], finite(disk.gain[1])], **at},
-        "delay": _pair(of.delay, one.found_delay),
-        "sample_period": _pair(of.sample_period, one.found_sample_period),
-    }
+SAMPLED = Record[tuple[float, StabilityEdge]](
+    timestep=lambda tried: tried[1].timestep, predicted=lambda tried: tried[0], found=lambda tried: tried[1].found
+)  # margin of the sampled loop at a timestep that physics ran with
+LOOP = Record[LoopMargins](
+    gain=Record(
+        *GAIN,
+        lower=Record(**{one.key: lambda of, one=one: finite(one.value(of)) or None for one in LOWER}),
+        extrapolated="gain.extrapolated",
+        sampled=SAMPLED.all("gain.tried"),
+    ),
+    phase=Record(
+        *PHASE,
+        frequency="predicted.frequency",
+        smallest_lag="predicted.smallest_phase",
+        lead=Record(predicted=lambda of: of.predicted.lead, frequency=lambda of: of.predicted.lead_frequency),
+        smallest=lambda of: min(of.predicted.smallest_phase, of.predicted.lead),
+    ),
+    disk=Record(
+        margin="predicted.disk.size",
+        gain="predicted.disk.gain",
+        phase="predicted.disk.phase",
+        frequency="predicted.disk.frequency",
+    ),
+    delay=Record(*DELAY),
+    sample_period=Record(*PERIOD),
+)
 
 
-def _pair(predicted: float, found: float) -> dict[str, Any]:
-    return {"predicted": finite(predicted), "found": finite(found)}
+def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
+    """Returns the record of a loop; gain, phase and disk are those of the implemented loop, if that differs."""
+    ideal, *built = (LOOP(of[name]) for of in (found.loops, found.built) if name in of)
+    first = [{key: one[key] for key in IMPLEMENTED} for one in (*built, ideal)]
+    return {**ideal, **first[0], "ideal": first[1]} if built else ideal
 
 
-def _sampled_object(margin: GainMargin) -> dict[str, Any]:
-    """Returns the margin of the sampled loop at each timestep that physics ran with."""
-    sampled = [{"timestep": search.timestep, **_pair(at, search.found)} for at, search in margin.tried]
-    return {"extrapolated": margin.extrapolated, "sampled": sampled}
+RECORD = Record[StabilityMargins](
+    loops=lambda found: {name: _loop(found, name) for name in found.loops if name},
+    weighted_errors=if_any(lambda found: [promise.record for promise in found.controller.robustness]),
+    loop=lambda found: " ".join(loop_texts(found.vehicle)) or None,
+)
+
+
+def record(found: StabilityMargins) -> dict[str, Any]:
+    """Returns the margins of a controller as a JSON object in SI units; `ideal` has those of the ideal loop, if it differs."""
+    return {"controller": found.controller.name, **_loop(found, ""), **RECORD(found)}
 
 
 def describe(found: StabilityMargins) -> Document:
@@ -217,14 +229,14 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
         "" if lower else "stable down to factor 0",
     )
     usual = _decibels(high)
-    rows = [Row(f"gain{of}, factor", high, gain.found, note, gain.extrapolated, usual=usual), *_sampled_rows(gain)]
+    rows = [Row(f"gain{of}, factor", *_values(GAIN, one), note, gain.extrapolated, usual=usual), *_sampled_rows(gain)]
     if lower:
-        seen = one.found_gain_lower, UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
+        seen = UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
         usual = _decibels(predicted.gain_lower)
-        rows.append(Row(f"lower gain{of}, factor", predicted.gain_lower, *seen, extra=True, usual=usual))
+        rows.append(Row(f"lower gain{of}, factor", *_values(LOWER, one), *seen, extra=True, usual=usual))
         rows += _sampled_rows(one.gain_lower, -1)
     note = f"at {FREQUENCY.text(predicted.frequency)}" if predicted.crossovers else below
-    rows.append(Row(f"phase lag{of} [rad]", predicted.phase, one.found_phase, note, usual=_degrees(predicted.phase)))
+    rows.append(Row(f"phase lag{of} [rad]", *_values(PHASE, one), note, usual=_degrees(predicted.phase)))
     if (least := predicted.smallest_phase) < predicted.phase * (1 - 1e-9):
         note = "at another crossover than that of the delay"
         rows.append(Row(f"smallest phase lag{of} [rad]", least, note=note, extra=True, usual=_degrees(least)))
@@ -240,15 +252,20 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
         samples = f"{round(delay.stable / h)} steps decay, {round(delay.unstable / h)} grow" if known else ""
         samples = samples or below * (not predicted.crossovers)
         note = _noted_time(delay, one.found_delay, samples)
-        times = 1e3 * one.predicted_delay, 1e3 * one.found_delay
+        times = 1e3 * one.predicted_delay, _values(DELAY, one)[1]
         rows.append(Row("delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
     if total:
         fixed = f"fixed by the law: {1e3 * (_fixed(found) or 0):g} ms" if _fixed(found) else ""
         settles = "stable at every period, as the vehicle settles between two samples" * math.isinf(predicted.sample_period)
         more = fixed, "all forces sampled" * predicted.all_sampled, settles
         note = _noted_time(one.sample_period, one.found_sample_period, *more)
-        rows.append(Row("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, note))
+        rows.append(Row("sample period [ms]", *_values(PERIOD, one), note))
     return rows
+
+
+def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> list[float]:
+    """Returns a margin in its unit: predicted, and found in MuJoCo."""
+    return [field.scale * field.value(one) for field in margin]
 
 
 def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:

@@ -20,8 +20,8 @@ HEIGHT = Field[float]("height", float, ".4g", unit="m")
 TRAVEL = Field[float]("travel", float, ".3g", 1e3, unit="mm")
 
 
-def edges_object(cells: Cells) -> dict[str, Any]:
-    """Returns the edges as a JSON object, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's."""
+def edges(cells: Cells) -> dict[str, Any]:
+    """Returns the edges for JSON, in SI units: the predicted ones along the height, if it is varied, and MuJoCo's."""
     proportional = not (cells.loads or cells.vehicle.parts.nonlinear)  # so that one response predicts all heights
     along, *others = sorted(cells.axes, key=lambda axis: axis.name != "height")
     members: dict[float, list[int]] = {}
@@ -55,11 +55,11 @@ def edges_object(cells: Cells) -> dict[str, Any]:
 
 def edge_document(cells: Cells) -> Document:
     """Returns a few edges as a document."""
-    edges = edges_object(cells)
-    along, every = edges["along"], edges["lines"]
+    whole = edges(cells)
+    along, every = whole["along"], whole["lines"]
     other = next((axis.name for axis in cells.axes if axis.name != along), "")
     shown = [every[i] for i in sorted({round(i) for i in np.linspace(0, len(every) - 1, min(LINES, len(every)))})]
-    found = {one.get(other): one for one in reversed(edges["enclosed"])} if along == "height" else {}
+    found = {one.get(other): one for one in reversed(whole["enclosed"])} if along == "height" else {}
 
     def ended(edge: Mapping[str, Any]) -> list[dict[str, Any]]:
         return [part for part in edge["breaks_first"] if part["end"]]

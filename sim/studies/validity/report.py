@@ -13,7 +13,7 @@ from models.characteristics import LEAVES
 from models.common.arrays import Array
 from models.common.printed import as_name, finite, percent
 from models.document.document import Document, Statement, Table, apart, notes
-from models.document.field import Field, at_most
+from models.document.field import Field, Record, at_most
 from models.document.figure import BLACK, Classes, Curve, Figure, Marker, Panel
 from models.document.picture import level
 from models.document.reading import write_rows
@@ -23,7 +23,7 @@ from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
 from sim.runs.prediction import NONLINEAR
-from sim.studies.validity.edges import HEIGHT, edge_document, edges_object
+from sim.studies.validity.edges import HEIGHT, edge_document, edges
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_end import WITHIN, RegimeEnd
 from sim.studies.validity.regime_map import Cells
@@ -69,21 +69,6 @@ def write_csv(path: Path, cells: Cells) -> None:
     write_rows(path, itertools.chain([[*first, *shares, *last, "map_complete"]], lines))
 
 
-def envelope_object(cells: Cells) -> dict[str, Any]:
-    """The map as in JSON: SI units, None for what never happens, and for results of MuJoCo where it was not run."""
-    return {
-        "controller": cells.controller.name,
-        "axes": {axis.name: list(axis.values) for axis in cells.axes},
-        "threshold": cells.threshold,
-        "agreement": cells.agreement,
-        "unexplained": cells.unexplained,
-        "done": len(cells.bumps),
-        "complete": True,
-        "cells": _cells(cells),
-        "edges": edges_object(cells),
-    }
-
-
 def _cells(cells: Cells) -> list[dict[str, Any]]:
     """Returns a JSON object for each cell; the share of missing force only for a vehicle with adjustable dampers."""
     dampers = any(math.isfinite(one.missing) for one in cells.driven.values())
@@ -103,6 +88,19 @@ def _cells(cells: Cells) -> list[dict[str, Any]]:
         for i, bump in enumerate(cells.bumps)
         for one in [cells.driven.get(i)]
     ]
+
+
+RECORD = Record[Cells](
+    controller="controller.name",
+    axes=lambda cells: {axis.name: axis.values for axis in cells.axes},
+    threshold="threshold",
+    agreement="agreement",
+    unexplained="unexplained",
+    done=lambda cells: len(cells.bumps),
+    complete=lambda cells: True,
+    cells=_cells,
+    edges=edges,
+)
 
 
 def describe(cells: Cells) -> Document:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import digits, finite, percent
+from models.common.printed import digits, percent
+from models.document.field import Record
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -218,7 +219,7 @@ NOTHING = 1e-12  # of an error that is none
 SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
 
 
-def fragility_object(
+def record(
     report: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
 ) -> dict[str, Any]:
     """Returns the fragility as a JSON object: relative errors, None for infinite values.
@@ -228,23 +229,21 @@ def fragility_object(
         measured: names of the q measured signals.
         forces: names of the m forces.
     """
-
-    def borne(one: ErrorMargin) -> dict[str, Any]:
-        return {
-            "proved": one.proved_margin,
-            "proof": one.proof or None,
-            "bound": finite(one.bound),
-            "found": finite(one.smallest_violation),
-            "readings": dict(zip(measured, one.readings.tolist(), strict=True)),
-            "forces": dict(zip(forces, one.forces.tolist(), strict=True)),
-        }
-
-    return {
-        "norm": finite(report.norm),
-        "stable": borne(report.stable),
-        "within": [{"share": share, **borne(one)} for share, one in report.within.items()],
-        "rounding": {name: {"norm": finite(one.norm.value), "bound": one.bound} for name, one in rounding.items()},
-    }
+    margin = Record[ErrorMargin](
+        proved="proved_margin",
+        proof=lambda one: one.proof or None,
+        bound="bound",
+        found="smallest_violation",
+        readings=lambda one: dict(zip(measured, one.readings.tolist(), strict=True)),
+        forces=lambda one: dict(zip(forces, one.forces.tolist(), strict=True)),
+    )
+    rounded = Record[Certificate](norm=lambda one: one.norm.value, bound=lambda one: one.bound)
+    return Record[Fragility](
+        "norm",
+        stable=margin.all("stable"),
+        within=lambda of: [{"share": share, **margin(one)} for share, one in of.within.items()],
+        rounding=rounded.all(lambda of: rounding),
+    )(report)
 
 
 def whose(report: Fragility) -> str:

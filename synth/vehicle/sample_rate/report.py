@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import by_text, finite, percent
+from models.common.printed import by_text, percent
 from models.document.document import Detail, Document, Table, notes, statements
-from models.document.field import Field
+from models.document.field import Field, Record
 from models.document.figure import Curve, Dash, Figure, Panel
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm
-from synth.controller.report import LOWER_BOUND, NORM, SAMPLED, norm_failures, proof_object
+from synth.controller.report import LOWER_BOUND, NORM, PROOF, SAMPLED, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
 LITTLE = 1e-2  # relative: a rate that costs no more is cheap
@@ -119,33 +119,30 @@ def failures(one: Cost) -> list[str]:
     ]
 
 
-def cost_object(one: Cost) -> dict[str, Any]:
-    """Returns a controller at all rates as a JSON object: SI units, None for infinite or missing values."""
-    return {
-        "name": one.controller.name,
-        "norm": finite(one.ideal),
-        "lower_bound": one.lower_bound,
-        "delay": one.delay,
-        "rates": [
-            {
-                "sample_period": at.period,
-                "sampled_norm": _object(one, at.undelayed_norm),
-                "late_norm": _object(one, at.late),
-                "designed_norm": _object(one, at.designed) if at.designed is not None else None,
-                "not_designed": at.undesigned or None,
-            }
-            for at in one.rates
-        ],
-        "unstable_from": finite(one.lost),
-        "late_unstable_from": finite(one.lost_late),
-    }
-
-
-def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
-    """Returns a norm with its proof and its loss as JSON; None if the loop is not stable."""
-    if not norm.stable:
+def _norm(one: Cost, norm: SampledNorm | None) -> dict[str, Any] | None:
+    """Returns a norm with its loss and its proof for JSON; None if the loop is not stable."""
+    if norm is None or not norm.stable:
         return None
-    return {"value": norm.value, "loss": finite(one.loss(norm)), **proof_object(norm)}
+    return {"value": norm.value, "loss": one.loss(norm), **PROOF(norm)}
+
+
+AT_RATE = Record[tuple[Cost, AtRate]](
+    sample_period=lambda of: of[1].period,
+    **{
+        f"{key}_norm": lambda of, kind=kind: _norm(of[0], kind(of[1]))
+        for key, kind in zip(("sampled", "late", "designed"), KINDS.values(), strict=True)
+    },
+    not_designed=lambda of: of[1].undesigned or None,
+)
+RECORD = Record[Cost](
+    name="controller.name",
+    norm="ideal",
+    lower_bound="lower_bound",
+    delay="delay",
+    rates=AT_RATE.all(lambda one: [(one, at) for at in one.rates]),
+    unstable_from="lost",
+    late_unstable_from="lost_late",
+)
 
 
 POINTS = 60  # of a curve

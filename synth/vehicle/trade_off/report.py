@@ -10,11 +10,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import NORM_DIGITS, as_name, by_text, entry, finite
 from models.document.document import Document, Table, notes
-from models.document.field import Field, json_object
+from models.document.field import Field, Record
 from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.document.reading import write_rows
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines, line_notes
+from synth.vehicle.trade_off.axes import AxisValue, FrontAxis
 from synth.vehicle.trade_off.front import MARKED, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
@@ -84,34 +85,38 @@ def _results(front: Front) -> list[str]:
     return [*texts, f"Designs of the front that are better on all axes: {alike}."] if alike else texts
 
 
-def front_object(front: Front) -> dict[str, Any]:
-    """Returns the front as a JSON object in SI units."""
-    names = [axis.name for axis in front.axes]
-    return {
-        "controller": front.name,
-        "axes": [
-            {
-                "name": axis.name,
-                "meaning": axis.meaning,
-                "unit": axis.unit,
-                "signals": dict(axis.norm.signals) if axis.norm.signals is not None else None,
-                "band": [finite(edge) for edge in axis.norm.band] if axis.norm.narrow else None,
-                "off": axis.off or None,
-            }
-            for axis in front.axes
-        ],
-        "points": [{"point": i + 1, **_object(front, point)} for i, point in enumerate(front.points)],
-        "others": [{"name": one.controller.name, **_object(front, one)} for one in front.others],
-        "missing": front.missing,
-        "limits": [
-            {"axes": [names[k] for k in one.axes], "weights": one.weights.tolist(), "norms": one.norms.tolist()}
-            for one in front.limits
-        ],
-        "loads": dict(front.points[0].controller.hardware.loads) if front.points else {},
-        "designs": front.tried,
-        "unproved": front.unproved,
-        "interrupted": False,
-    }
+AXIS = Record[FrontAxis](
+    "name",
+    "meaning",
+    "unit",
+    signals="norm.signals",
+    band=lambda axis: axis.norm.band if axis.norm.narrow else None,
+    off=lambda axis: axis.off or None,
+)
+CLAIM = Record[AxisValue]("value", "proved", frequency="at")
+DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.gain"), *NUMBERS)
+
+
+def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
+    """Returns a design for JSON, with its norm on every axis, after some values."""
+    axes = zip(front.axes, point.norms, strict=True)
+    return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
+
+
+RECORD = Record[Front](
+    controller="name",
+    axes=AXIS.all("axes"),
+    points=lambda front: [_design(front, one, point=i) for i, one in enumerate(front.points, 1)],
+    others=lambda front: [_design(front, one, name=one.controller.name) for one in front.others],
+    missing="missing",
+    limits=lambda front: [
+        {"axes": [front.axes[k].name for k in one.axes], "weights": one.weights, "norms": one.norms} for one in front.limits
+    ],
+    loads=lambda front: dict(front.points[0].controller.hardware.loads) if front.points else {},
+    designs="tried",
+    unproved="unproved",
+    interrupted=lambda front: False,
+)
 
 
 def write_csv(front: Front, path: Path) -> None:
@@ -125,19 +130,6 @@ def write_csv(front: Front, path: Path) -> None:
         gain = one.controller.gain.ravel().tolist() if own else [None] * len(entries)
         rows.append([i + 1 if own else one.controller.name, *map(finite, numbers), *gain])
     write_rows(path, rows)
-
-
-def _object(front: Front, point: Point) -> dict[str, Any]:
-    controller, norms = point.controller, zip(front.axes, point.norms, strict=True)
-    return {
-        "values": {
-            axis.name: {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
-            for axis, norm in norms
-        },
-        "measured": list(controller.measured),
-        "gain": controller.gain.tolist(),
-        **json_object(NUMBERS, point),
-    }
 
 
 def _limit_texts(front: Front) -> list[str]:

@@ -1,6 +1,7 @@
 """The section of a report on a trade-off: the front, its proved lower bound, and the values measured in MuJoCo at some points."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,9 @@ from models.common.errors import InputError
 from models.document.document import Document, notes
 from models.document.field import Field
 from models.vehicle.vehicle import Vehicle
-from sim.report.scope import AMPLITUDE, Subject
 from sim.studies.frequency.identification import ideal_measurements, settled_gain
 from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
+from sim.studies.subject import AMPLITUDE, Subject
 from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
@@ -39,16 +40,14 @@ def check_front(vehicle: Vehicle, text: str) -> None:
     entry_of(vehicle, usual(vehicle))
 
 
-def front_section(scope: Subject) -> Document:
+def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
     """Returns the front of the usual controller, or the reason why it is missing."""
     vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
     assert given is not None, "no axes"
     axes = axes_of(vehicle, given)
     total = rays_of(len(axes), DESIGNS)
     try:
-        trade_off = front(
-            vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs")
-        )
+        trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: progress(f"{done} of {total} designs"))
     except DesignError as error:
         return Document(TITLE, notes(f"There is no trade-off: {error}"))
     if not trade_off.points:

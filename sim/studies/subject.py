@@ -1,18 +1,19 @@
-"""Data shared by the sections of a report: its subject, its loops, common results, and the format of numbers."""
+"""Subject of a page: the vehicle and its controllers, their loops, their runs over the road, and common results."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from models.common.arrays import Array
 from models.document.field import Field
 from models.document.figure import Style, styles
 from models.roads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.runs.run import sample_times
+from sim.runs.run import Run, run_controllers, sample_times
+from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples
 from sim.studies.stability import TIMESTEP
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import AnyController, Controller
@@ -24,6 +25,8 @@ from synth.vehicle.designer import Designer
 BUMP_DURATION = 3.0  # s
 COARSER = 2.5  # times the report's step, at most that of the map
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
+SPEED, SEEDS = 20.0, (0, 1, 2, 3)  # speed [m/s] and seeds of the random roads
+AVERAGE = "C"  # their class that controllers are compared on
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,6 @@ class Subject:
         controllers: controllers that are reported and have a linear law.
         timestep: timestep of the physics [s].
         quick: True to omit margins, map and ride.
-        progress: callback that receives the name of the present step.
         laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
@@ -54,7 +56,6 @@ class Subject:
     controllers: tuple[Controller, ...]
     timestep: float
     quick: bool
-    progress: Callable[[str], None]
     laws: tuple[AnyController, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
@@ -77,6 +78,34 @@ class Subject:
     def speed(self) -> float:
         """Returns the speed over sinusoids [m/s]: that of the road, or of the paper's bump if the vehicle is on a rig."""
         return self.road.speed or Bump().speed
+
+    @cached_property
+    def time(self) -> Array:
+        """Returns the sample times of the runs over the road [s]."""
+        return sample_times(self.vehicle, self.duration, self.timestep)
+
+    @cached_property
+    def runs(self) -> list[Run]:
+        """Returns the run of every controller over the road."""
+        return run_controllers(self.vehicle, self.driven, self.road, self.time)
+
+    @cached_property
+    def samples(self) -> tuple[int, int | None]:
+        """Returns the first measured sample, and the one after the last; None for the end of the runs."""
+        if self.own_road is None:
+            return 0, None
+        return measured_samples([(self.vehicle, one) for one in self.driven], self.own_road, self.duration, self.timestep)
+
+    @cached_property
+    def measured(self) -> list[RunMetrics]:
+        """Returns the metrics of the runs over a road of the report's own; empty for the bump."""
+        return [] if self.own_road is None else [measure_run(run, *self.samples) for run in self.runs]
+
+    @property
+    def disagreeing(self) -> list[str]:
+        """Returns the names of the stable controllers whose runs do not agree."""
+        wrong = {run.controller.name for run in self.runs if not run.agreement.agrees}
+        return [one.name for one in self.stable if one.name in wrong]
 
     @property
     def driven(self) -> tuple[AnyController, ...]:

@@ -1,9 +1,10 @@
-"""The ride section of a report: random roads of several classes, in MuJoCo and as their spectrum predicts."""
+"""The study of ride over random roads of several classes, in MuJoCo and as their spectrum predicts."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from models.document.text import joined
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import track_width
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.regime import FLAT, REGIME_ENDS, reached
@@ -23,10 +25,11 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, compared_metrics, metrics_of, over_runs
 from sim.studies.ride.standing import Standing, standing, standing_over_runs
+from sim.studies.study import Progress, Study
+from sim.studies.subject import AVERAGE, SEEDS, SPEED, Subject
 from synth.controller.controller import AnyController
 
-CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
-AVERAGE = "C"  # the class that controllers are compared on
+CLASSES = "ABCD"
 WINDOW = 10.0  # s of measurement, after the transient
 LONGEST = 20.0  # s, of a transient that is waited for
 
@@ -202,3 +205,25 @@ class OverRoads:
                     (expected.mean[name], expected.spread.get(name, math.nan)) if expected else (math.nan, math.nan)
                 )
                 yield Ride(road_class, controller.name, metric.words, unit, measured, predicted, spread, events)
+
+
+class RideStudy(Study[tuple[list[Ride], list[Standing]]]):
+    """Ride over random roads, and the controllers' standings there, on a page."""
+
+    seconds = 7.0
+
+    def requests(self, scope: Subject) -> Mapping[str, Subject]:
+        """See `Study`."""
+        return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
+
+    def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Standing]]:
+        """Returns the ride of stable controllers and of laws, and their standings and that of passive."""
+        reported = (*request.stable, *request.laws)
+        driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]
+        passive = [] if any(one.name == PASSIVE for one in reported) else [request.designer.design(PASSIVE)]
+        beside = [OverRoads(request.vehicle, one, request.timestep, AVERAGE) for one in passive]
+        return [ride for one in driven for ride in one.rides()], [one.standing() for one in (*beside, *driven)]
+
+    def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+        """See `Study`."""
+        return [ride_section(scope.vehicle, rides, scope.styles) for rides, _ in results[self.name].values() if rides]

@@ -1,7 +1,8 @@
-"""The section of a report on loads on the body, and the dive of its first screen."""
+"""The study of loads on the body: angles and travel under loads on a flat road, and the dive under braking."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,16 +16,18 @@ from models.roads.load_choice import choose_load
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
+from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.observers.recorder import record
-from sim.report.agreement import run_statements
-from sim.report.scope import Subject
 from sim.runs.forces import pushed
+from sim.runs.report import run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, POINTS
 from sim.studies.ride.metrics import DEGREES, Metric, angles_of, compared_metrics, measure, metrics_of
 from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.run_metrics import METRIC, RunMetrics, measure_run
+from sim.studies.study import Progress, Study
+from sim.studies.subject import Subject
 
 DURATION = 5.0  # s; longer where the loads come later
 AFTER = 2.0  # s that are looked at after the last load has come
@@ -45,14 +48,18 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
+def _dive(vehicle: Vehicle) -> Metric | None:
+    """Returns the metric of dive, or None for a vehicle that cannot pitch."""
+    return next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
+
+
 def dives(scope: Subject) -> dict[str, float]:
     """Returns the largest dive of every controller in MuJoCo under braking [deg]; empty for a vehicle that cannot pitch.
 
     A run that breaks off has none.
     """
     vehicle, controllers = scope.vehicle, [*scope.stable, *scope.laws]
-    dive = next(iter(compared_metrics(vehicle, loaded=True).get("dive", ())), None)
-    if dive is None or not controllers:
+    if (dive := _dive(vehicle)) is None:
         return {}
     road, time = loaded_road((choose_load(BRAKE),)), sample_times(vehicle, BRAKED, scope.map_timestep)
     runs = record([Case(vehicle, each, road) for each in controllers], time, threads=0)
@@ -137,3 +144,33 @@ def _line(time: Array, values: Array) -> tuple[Array, Array]:
 def _panel(name: str, unit: str, curves: Sequence[Curve], symbol: str = "") -> Panel:
     words = name.replace("_", " ")
     return Panel(f"{words}{symbol}", "time [s]", f"{words} [{unit}]", tuple(curves))
+
+
+BRAKING = "braking"  # subject of the dives
+
+
+class LoadsStudy(Study[Any]):
+    """Response to loads, and the dive of every controller under braking, on a page."""
+
+    seconds = 2.0
+
+    def check_page(self, scope: Subject) -> None:
+        """See `Study`."""
+        if scope.loads:
+            time = sample_times(scope.vehicle, duration_of(scope.loads), scope.timestep)
+            loaded_road(scope.loads).check(scope.vehicle, time)
+
+    def requests(self, scope: Subject) -> Mapping[str, tuple[str, Subject]]:
+        """See `Study`."""
+        some = bool(scope.stable or scope.laws)
+        wanted = {"": bool(scope.loads), BRAKING: _dive(scope.vehicle) is not None}
+        return {name: (name, scope) for name, one in wanted.items() if one and some}
+
+    def run(self, request: tuple[str, Subject], progress: Progress) -> Document | dict[str, float]:
+        """Returns the section, or the dives."""
+        name, scope = request
+        return dives(scope) if name == BRAKING else loads_section(scope)
+
+    def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
+        """See `Study`."""
+        return [one for name, one in results[self.name].items() if name != BRAKING]

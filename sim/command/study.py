@@ -1,0 +1,86 @@
+"""The command of any study: reads the vehicle, designs, runs, writes files and logs, and prints text or JSON."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from models.common.command import Parser, chosen, one_chosen, print_json, remarked
+from models.common.printed import Stages, say
+from sim.studies.registry import command_of, study
+from sim.studies.study import StudyRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from synth.controller.controller import AnyController
+
+
+def main(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Runs the command of a study; returns its exit code.
+
+    Raises:
+        InputError: bad options, vehicle file or output file, or a controller that the study refuses.
+    """
+    one = study(name)
+    parser = Parser(command_of(name), one.description, one.epilog, one.page)
+    one.add_options(parser)
+    options = parser.parse_args(arguments)
+    from models.document.outputs import check_outputs, written, written_lines
+    from models.vehicle.names import named_files
+    from sim.command.comparison import left_out_object, log_lines, recorded, warn_invalid_certificates
+    from sim.command.road_options import left_out_lines, omitted_controllers
+
+    given, request, several = None, StudyRequest(options), one.takes == "several"
+    if one.takes:
+        from models.vehicle.vehicle import read_vehicle
+
+        given = remarked(read_vehicle(options.vehicle))
+        if not several:
+            names = [one_chosen(given.controller_names, options.controller)]
+        else:
+            usual = [each for each in one.usual if each in given.controller_names]
+            names = chosen(given.controller_names, options.controller, usual)
+        request = replace(request, vehicle=one.vehicle(given, names), names=names)
+    one.check(request)
+    outputs = {key: getattr(options, key) for key in ("csv", "picture") if hasattr(options, key)}
+    logs, files = {"logs": options.logs} if hasattr(options, "logs") else {}, given.files if given is not None else ()
+    check_outputs(outputs | logs, [*files, *named_files(getattr(options, "loads", ()))], options.json)
+    stage = Stages(*["designs"] * bool(one.takes), *one.stages, "picture and logs")
+    if one.takes:
+        stage("designs")
+        request = replace(request, controllers=_designed(request, several))
+        one.check_controllers(request)
+        warn_invalid_certificates(request.controllers)
+    result, driven = one.run(request, stage), [each.name for each in request.controllers]
+    stage("picture and logs")
+    if outputs.get("csv") is not None:
+        one.write_csv(options.csv, result)
+    if outputs.get("picture") is not None:
+        from models.document.picture import write_picture
+
+        write_picture(one.figure(request, result), options.picture)
+    whole = {}
+    if options.json or logs.get("logs") is not None:
+        whole = {**one.record(request, result), **left_out_object(request.names, driven), **written(outputs)}
+    if logs and given is not None:
+        logs = recorded(options, one.recorded_vehicle(given), driven, lambda: one.runs(request, result), lambda: whole)
+        whole = {**whole, "logs": logs}
+    stage.end()
+    if options.json:
+        print_json(whole)
+    else:
+        lines = one.lines(request, result, [*written_lines(outputs), *log_lines([logs])])
+        say(lines + (left_out_lines(omitted_controllers(given, options.controller, request.names)) if several else []))
+    return 0 if one.holds(result) and len(driven) == len(request.names) else 1
+
+
+def _designed(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
+    """Returns the requested controllers: several of any kind, or the single one of a study that needs a linear law."""
+    from sim.command.comparison import controllers_of, runnable
+    from synth.vehicle.designer import Designer
+
+    designer = Designer(request.vehicle, search=False)
+    if not several:
+        return [designer.design(name) for name in request.names]
+    design: Callable[[str], AnyController] = runnable(request.vehicle, designer.design, request.options.timestep)
+    return controllers_of(request.vehicle, request.names, design, getattr(request.options, "exported", None))

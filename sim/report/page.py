@@ -1,0 +1,160 @@
+"""Page of a report: its answer, then the sections of all studies."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from models.common.extensions import STUDIES
+from models.document.document import Document, Table
+from models.document.page import Page
+from models.vehicle.names import PASSIVE
+from models.vehicle.sketch import vehicle_sketch
+from sim.command.comparison import standings_of
+from sim.report.processes import Name
+from sim.report.summary import compared_on, first_screen, trust_section
+from sim.runs.run import passive_beside
+from sim.studies.registry import study
+from sim.studies.ride.run_metrics import measured_words
+from sim.studies.ride.standing import Standing, headline, record_of_standings, some_names, standing, without_unsound
+from sim.studies.study import Progress
+from sim.studies.subject import SEEDS, Subject, file_stem
+from synth.vehicle.paper import SEED, is_the_papers
+
+RUNS = "runs"  # stage of the page's own runs over its road
+Begin = Callable[[dict[Name, Any], Progress], Callable[[], dict[Name, Any]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A report: its page, and the comparison of controllers.
+
+    Attributes:
+        page: whole page.
+        compared: the controllers' standings, the passive one first.
+        compared_on: roads of the comparison, in words.
+    """
+
+    page: Page
+    compared: list[Standing]
+    compared_on: str
+
+
+def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: Progress) -> Report:
+    """Returns the whole report.
+
+    Args:
+        provenance: origin of the report, in words.
+        begin: function that begins requests and returns the function for their results, as `Processes.begin` does.
+        progress: callback that receives the name of the present study.
+    """
+    answers = begin(requests_of(replace(scope)), progress)  # a copy, which has no runs that would go to other processes
+    progress(RUNS)
+    runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})
+    for (name, subject), result in answers().items():
+        results[name][subject] = result
+    over_roads = [one for _, standings in results.get("ride", {}).values() for one in standings] if scope.own_road is None else []
+    compared, when = _compared(scope, over_roads), measured_words(scope.time, scope.samples)
+    ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
+    sections = [trust_section(scope, runs, ends, scope.disagreeing)]
+    sections += [section for name in STUDIES for section in study(name).sections(scope, results)]
+    where = compared_on(scope, compared, any(results.get("ride", {}).values()), when)
+    names, kind = some_names([one.name for one in scope.driven]), scope.vehicle.kind.name.replace("_", " ")
+    dive = results.get("loads", {}).get("braking", {})
+    whole = Page(
+        f"{file_stem(scope.vehicle)}: {names} on a {kind}, from linear analysis to MuJoCo",
+        first_screen(scope, runs, compared, dive, where),
+        (*sections, _provenance(scope, provenance)),
+        headline(compared),
+        sketch=vehicle_sketch(scope.vehicle),
+    )
+    return Report(whole, compared, where)
+
+
+def requests_of(scope: Subject) -> dict[Name, Any]:
+    """Returns the independent requests of a page, by study and subject, the longest first."""
+    studies = sorted(map(study, STUDIES), key=lambda one: -one.seconds)
+    return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
+
+
+def stages(scope: Subject) -> tuple[str, ...]:
+    """Returns the stages of a page in their order."""
+    return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
+
+
+def _compared(scope: Subject, over_roads: Sequence[Standing]) -> list[Standing]:
+    """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
+
+    A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
+    """
+    if not over_roads:
+        return standings_of(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.measured)
+    there = {one.controller: one for one in over_roads}
+    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
+    unsound = [one.name for one in scope.driven if one.growth]
+    return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
+
+
+def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
+    """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
+    vehicle, how = scope.vehicle, scope.vehicle.implementation
+    rows = dict(provenance)
+    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven}]:
+        rows["controllers not on this page"] = ", ".join(absent)
+    h = 1e3 * scope.timestep
+    rows |= {"road": scope.own_road.words, "duration": f"{scope.duration:g} s"} if scope.own_road is not None else {}
+    rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
+    seeds = [f"{how.seed}, of the noise on measurements"] if any(how.noise.values()) else []
+    if not scope.quick:
+        rows["timestep"] += f"; {1e3 * scope.margins_timestep:g} ms for margins, {1e3 * scope.map_timestep:g} ms for the map"
+        seeds.append("1, of the random road for the L2 gain")
+        seeds += [f"{SEED}, of the genetic algorithm"] if is_the_papers(vehicle) else []
+        seeds.append(f"{SEEDS[0]} to {SEEDS[-1]}, of the random roads of the ride")
+    rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
+    built = {"sample_period": how.sample_period, "delay": how.delay or None}
+    built |= {f"noise of {name}": rms for name, rms in how.noise.items()}
+    built |= {f"quantisation of {name}": step for name, step in how.quantisation.items()}
+    dampers = {
+        f"[actuators] {name}{one.ending}": value
+        for one in vehicle.parts.adjustable
+        if one.damper.replaces
+        for name, value in (("c_min", one.damper.c_min), ("c_max", one.damper.c_max), ("bandwidth", one.damper.bandwidth))
+        if value is not None
+    }
+    settings = {
+        **vehicle.parameters,
+        **{f"weight of {name}": value for name, value in vehicle.performance.items()},
+        **{f"weight of {one.name}": f"{one.weight:g} of {one.text}" for one in vehicle.sums},
+        **{f"filter of {one.name}": one.filter.words for one in vehicle.weighted if one.filter is not None},
+        **({"filter of the road": vehicle.road_filter.words} if vehicle.road_filter is not None else {}),
+        **({f"[limits] {name}": text for name, text in vehicle.limits.written.items()} or {"[limits]": "none"}),
+        **(
+            {f"[implementation] {name}": value for name, value in built.items() if value is not None}
+            or {"[implementation]": "none"}
+        ),
+        **{f"[curves] {one.name}": one.curve.words for one in vehicle.parts.with_curve},
+        **dampers,
+    }
+    given = tuple((name, value if isinstance(value, str) else f"{value:g}") for name, value in settings.items())
+    caption = (
+        "Numbers of the vehicle file that this page depends on, in SI units. A bandwidth is in rad/s; all other frequencies on "
+        "this page are in Hz."
+    )
+    tables = (
+        Table("provenance", "Origin and settings of this page.", ("what", "value"), tuple(rows.items()), words=2),
+        Table("vehicle", caption, ("parameter [SI]", "value"), given),
+    )
+    return Document("Provenance and settings", tables)
+
+
+def record(report: Report) -> dict[str, Any]:
+    """Returns answer, tables and standings as a JSON object."""
+    page = report.page
+    return {
+        "title": page.title,
+        "headline": page.headline,
+        "lead": [f"{page.headline}."],
+        "answer": [one.text for one in page.answer],
+        "verdict": page.state,
+        "tables": {one.name: one.records for one in page.whole.tables},
+        "compared": record_of_standings(report.compared),
+    }

@@ -1,0 +1,197 @@
+"""The study of frequency responses: the paper's Fig. 3, measured in MuJoCo, with largest gains and the H-infinity norm."""
+
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models import USUAL_TIMESTEP
+from models.common.command import Parser
+from models.common.errors import InputError
+from models.common.printed import titled
+from sim.studies.study import Progress, Study, StudyRequest
+
+if TYPE_CHECKING:
+    from models.document.document import Document
+    from models.document.figure import Figure
+    from sim.runs.run import Run
+    from sim.studies.frequency.describing_function import DescribingFunction
+    from sim.studies.frequency.identification import Lines
+    from sim.studies.frequency.sweep import Sweep
+    from sim.studies.subject import Subject
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Frequency responses of some controllers.
+
+    Attributes:
+        lines: frequency response of each linear controller.
+        sweeps: sweep of each linear controller; empty if only frequency responses were measured.
+        own: describing function of each nonlinear law.
+    """
+
+    lines: "Sequence[Lines]"
+    sweeps: "Sequence[Sweep]"
+    own: "Sequence[DescribingFunction]"
+
+    def each(self, names: Sequence[str]) -> "list[Sweep | DescribingFunction]":
+        """Returns the results of all controllers in the order of their names."""
+        return sorted([*self.sweeps, *self.own], key=lambda one: names.index(one.controller.name))
+
+
+class SweepStudy(Study[Responses]):
+    """Frequency responses and largest gains of some controllers."""
+
+    description = "Measure frequency responses in MuJoCo and compare them with linear analysis."
+    epilog = """
+Linear analysis does not apply to a control law in Python. The law is simulated over one sinusoid at a time, and the output
+contains the fundamental and the energy at other frequencies.
+
+exit code: 0 every claim holds, or the output shows how MuJoCo left the linear regime; 1 a claim fails, a controller cannot be
+designed, or every run of a law diverged, so that nothing is measured; 2 invalid input
+
+examples:
+  python -m sim.sweep --picture sweep.png
+  python -m sim.sweep --controller I --amplitude 0.05
+  python -m sim.sweep --vehicle half_car --controller all --json
+"""
+    page = "docs/how-to/sweep.md"
+    takes = "several"
+    usual = ("passive", "state", "I", "II")
+    seconds = 5.0
+    stages = ("frequency responses", "norms", "laws in Python")  # LINES, EXTREMES and OWN of `sim.studies.frequency.sweep`
+
+    def add_options(self, parser: Parser) -> None:
+        parser.add_controller_and_vehicle("default: passive, state, I and II")
+        parser.add_number("--amplitude", 1e-4, "m", "largest height of each road; a larger height can reach the vehicle's limits")
+        parser.add_number("--speed", 12.5, "m/s", "speed of the vehicle; affects only vehicles with rear wheels")
+        parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+        parser.add_exported()
+        parser.add_logs("runs of each controller over its worst sinusoid")
+        parser.add_argument(
+            "--picture", type=Path, metavar="FILE", help="draw the responses (.png, .svg or .pdf); needs matplotlib"
+        )
+        parser.add_printed("errors of each signal, invariants, sampled norms and EUSAMA's minimum loads")
+
+    def check(self, request: StudyRequest) -> None:
+        options, vehicle = request.options, request.vehicle
+        if not 1e-3 <= options.speed <= 1e3:
+            raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
+        if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
+            raise InputError(f"--speed affects only rear wheels, but a {vehicle.kind.name} has no rear wheels; omit --speed")
+
+    def run(self, request: StudyRequest, progress: Progress) -> Responses:
+        from sim.linear.nonlinear_elements import at_rest
+        from sim.studies.frequency.describing_function import describing_function
+        from sim.studies.frequency.identification import identify
+        from sim.studies.frequency.sweep import OWN, sweep
+
+        vehicle, options = request.vehicle, request.options
+        how = options.amplitude, options.timestep, options.speed
+        linear = [one for one in request.controllers if one.linear is True]
+        if getattr(options, "lines_alone", False):
+            return Responses(identify(at_rest(vehicle), linear, *how) if linear else [], [], [])
+        sweeps = sweep(vehicle, linear, *how, progress) if linear else []
+        progress(OWN)
+        own = [describing_function(vehicle, one, *how) for one in request.controllers if not one.linear]
+        return Responses([one.lines for one in sweeps], sweeps, own)
+
+    def describe(self, request: StudyRequest, result: Responses) -> "Document":
+        from sim.studies.frequency.report import describe
+
+        options = request.options
+        return describe(request.vehicle, result.lines, result.sweeps, result.own, options.amplitude, options.timestep)
+
+    def record(self, request: StudyRequest, result: Responses) -> dict[str, Any]:
+        from sim.studies.frequency.sweep import record
+
+        options = {key: getattr(request.options, key) for key in ("amplitude", "timestep", "speed")}
+        return {"sweeps": [record(one) for one in result.each(request.names)], **options}
+
+    def lines(self, request: StudyRequest, result: Responses, files: Sequence[str]) -> list[str]:
+        from models.document.text import text_lines
+        from sim.studies.frequency.report import workshop
+
+        vehicle, verbose, document = request.vehicle, request.options.verbose, self.describe(request, result)
+        _, *lines = text_lines(document, "full" if verbose else "normal")
+        if verbose and result.sweeps:
+            lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
+        elif result.sweeps:
+            lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
+        return [*titled(f"{document.title} of {vehicle.kind.name}", vehicle.source), *lines, *files]
+
+    def holds(self, result: Responses) -> bool:
+        from sim.studies.frequency.sweep import holds
+
+        return all(map(holds, (*result.sweeps, *result.own)))
+
+    def figure(self, request: StudyRequest, result: Responses) -> "Figure":
+        from models.document.figure import styles
+        from sim.studies.frequency.figure import sweep_figure
+
+        options = request.options
+        known = getattr(options, "styles", None) or styles(tuple(request.names))
+        return sweep_figure(request.vehicle, result.lines, options.timestep, options.speed, known, result.own)
+
+    def runs(self, request: StudyRequest, result: Responses) -> "dict[str, Run]":
+        """Returns the run of every controller on its worst sinusoid, from rest."""
+        from models.roads.sinusoids import sinusoid
+        from sim.runs.run import run_controllers, sample_times
+        from sim.studies.frequency.identification import ideal_measurements
+        from sim.studies.frequency.worst_case_gain import DURATION
+
+        vehicle, options, runs = ideal_measurements(request.vehicle), request.options, {}
+        time = sample_times(vehicle, DURATION, options.timestep)
+        for one in result.each(request.names):
+            road = sinusoid(one.worst_omega, options.speed).scaled(options.amplitude / 2)
+            (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
+        return runs
+
+    def requests(self, scope: "Subject") -> Mapping[str, StudyRequest]:
+        controllers = scope.stable if scope.quick else [*scope.stable, *scope.laws]
+        return {"": self._request(scope, controllers)} if controllers else {}
+
+    def _request(self, scope: "Subject", controllers: Sequence[Any]) -> StudyRequest:
+        from sim.studies.subject import AMPLITUDE
+
+        how = {"amplitude": AMPLITUDE, "timestep": scope.timestep, "speed": scope.speed, "styles": scope.styles}
+        return StudyRequest(Namespace(**how, lines_alone=scope.quick), scope.vehicle, (), controllers)
+
+    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
+        request = self._request(scope, ())
+        return [
+            replace(section, blocks=(self.figure(request, found), *section.blocks))
+            for found in results[self.name].values()
+            for section in [self.describe(request, found)]
+        ]
+
+
+class WorkshopStudy(Study[None]):
+    """Minimum tyre loads on a workshop's plate, which `SweepStudy` computes, on a page."""
+
+    def sections(self, scope: "Subject", results: "Mapping[str, Mapping[str, Any]]") -> "list[Document]":
+        from sim.studies.frequency.report import workshop
+
+        return [workshop(scope.vehicle, one.sweeps) for one in results.get("sweep", {}).values() if one.sweeps]
+
+
+class FrontStudy(Study["Document"]):
+    """Front of a trade-off, and its designs in MuJoCo on the sinusoid of each norm, on a page."""
+
+    seconds = 30.0
+
+    def check_page(self, scope: "Subject") -> None:
+        if scope.front is not None:
+            from sim.studies.frequency.trade_off import check_front
+
+            check_front(scope.vehicle, scope.front)
+
+    def requests(self, scope: "Subject") -> "Mapping[str, Subject]":
+        return {} if scope.front is None else {"": scope}
+
+    def run(self, request: "Subject", progress: Progress) -> "Document":
+        from sim.studies.frequency.trade_off import front_section
+
+        return front_section(request, progress)
