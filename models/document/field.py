@@ -95,7 +95,7 @@ class Record(Generic[T]):
     one, a list for an array, and an object for a dataclass.
     """
 
-    def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[T] | Value[T]") -> None:
+    def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
         """Prepares the object.
 
         Args:

@@ -70,8 +70,8 @@ class Processes:
                 return here(name)
 
         def results() -> dict[Name, Any]:
-            found = {name: here(name) for name in reversed(requests) if name not in futures or futures[name].cancel()}
-            return found | {name: elsewhere(name) for name in reversed(requests) if name not in found}
+            found = {name: here(name) for name in reversed([*requests]) if name not in futures or futures[name].cancel()}
+            return found | {name: elsewhere(name) for name in reversed([*requests]) if name not in found}
 
         return results
 

@@ -229,7 +229,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
         "" if lower else "stable down to factor 0",
     )
     usual = _decibels(high)
-    rows = [Row(f"gain{of}, factor", *_values(GAIN, one), note, gain.extrapolated, usual=usual), *_sampled_rows(gain)]
+    rows = [Row(f"gain{of}, factor", *_values(GAIN, one), note=note, extrapolated=gain.extrapolated, usual=usual), *_sampled_rows(gain)]
     if lower:
         seen = UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
         usual = _decibels(predicted.gain_lower)
@@ -263,9 +263,10 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     return rows
 
 
-def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> list[float]:
+def _values(margin: Sequence[Field[LoopMargins]], one: LoopMargins) -> tuple[float, float]:
     """Returns a margin in its unit: predicted, and found in MuJoCo."""
-    return [field.scale * field.value(one) for field in margin]
+    predicted, found = (field.scale * field.value(one) for field in margin)
+    return predicted, found
 
 
 def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
