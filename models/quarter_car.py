@@ -12,7 +12,7 @@ import numpy as np
 from models.kinds import signals
 from models.kinds.kind import (
     GRAVITY,
-    SEATED,
+    SEAT_POINTS,
     BodyLoad,
     Invariant,
     Parameter,
@@ -210,6 +210,6 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
     motion=motion,
-    lacking=SEATED
+    lacking=SEAT_POINTS
     | {"anti_roll": "an anti-roll bar needs a body that rolls, but a quarter-car only moves vertically: use a full_car"},
 )

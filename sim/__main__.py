@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from models.common.command import Parser, versions
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.extensions import STUDIES
 from sim.studies.registry import command_of
 
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None and words and words[0] in VERBS:
         roadproof()
     if words and not words[0].startswith("-"):
-        raise InputError(f"unknown command {words[0]!r}; the commands are {listing(VERBS)}")
+        raise InputError(f"unknown command {words[0]!r}; the commands are {list_names(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG, "docs/which-command.md")
     parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and its packages")
     options = parser.parse_args(arguments)

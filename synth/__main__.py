@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from models.common.command import ALL, chosen, remarked
-from models.common.errors import InputError, listing
+from models.common.command import ALL, chosen_controllers, print_remarks
+from models.common.errors import InputError, list_names
 from synth.command.options import parse_options
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from synth.command.export import check_folder
 
         return check_folder(options.check, options)
-    vehicle = remarked(read_vehicle(options.check or options.vehicle))
+    vehicle = print_remarks(read_vehicle(options.check or options.vehicle))
     if options.export is not None:
         from synth.command.export import export
 
@@ -61,12 +61,16 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is for designs in two steps, but {vehicle.source} contains no such design; omit --zero-l")
-    names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
+    names = (
+        everything
+        if options.controller == [ALL]
+        else chosen_controllers(vehicle.controller_names, options.controller, everything)
+    )
     for name in names:
         if options.zero_l and name in vehicle.controllers:
             check_command(f"controller {name!r}", vehicle.controllers[name].parts, "zero_l")
         elif options.zero_l:
-            raise InputError(f"--zero-l: {name!r} is not designed in two steps; give one of {listing(designed)}")
+            raise InputError(f"--zero-l: {name!r} is not designed in two steps; give one of {list_names(designed)}")
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; give another controller, or omit --refine")
     return list(names)

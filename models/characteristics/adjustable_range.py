@@ -32,10 +32,10 @@ import numpy as np
 from models.characteristics.curve import STRAIGHT, ForceCurve
 from models.characteristics.curve_reading import VELOCITY, curve_of
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing
+from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, SMALLEST, Choice, ReadBy, Section, read
 
-TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
+TOUCHING_DISTANCE = 1e-9  # distance at which two curves touch, over the largest force
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
     pair = Envelope(soft, hard)
     x, largest = pair.knots, max(soft.range, hard.range)
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
-    for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING * largest))[:1].tolist():
+    for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING_DISTANCE * largest))[:1].tolist():
         raise InputError(
             f"at {x[i]:g} m/s, c_min has the force {low[i]:g} N and c_max {high[i]:g} N; give the firmest setting as c_max, "
             "with a larger force than c_min at every velocity"
@@ -113,7 +113,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
             "as c_max, with the larger slope there"
         )
     for end, side in ((0, "below the first points"), (-1, "beyond the last points")):
-        if hard.slopes[end] < soft.slopes[end] - TOUCHING * abs(soft.slopes[end]):
+        if hard.slopes[end] < soft.slopes[end] - TOUCHING_DISTANCE * abs(soft.slopes[end]):
             raise InputError(
                 f"{side}, c_min and c_max are extended with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, so they cross; "
                 "change the outermost points so that the curves do not cross"
@@ -122,7 +122,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Envelope:
 
 
 KINDS = ("force", "damper")
-CURVED = ("c_min", "c_max")  # keys whose values may be tables
+CURVE_KEYS = ("c_min", "c_max")  # keys whose values may be tables
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class ActuatorSection(Section):
     bandwidth: Annotated[float, SI("rad/s", "corner frequency of the valve, a first-order lag of the coefficient")] | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in (*CURVED, "bandwidth") if getattr(self, name) is not None]
+        given = [name for name in (*CURVE_KEYS, "bandwidth") if getattr(self, name) is not None]
         if self.kind == KINDS[0]:
             if given:
                 raise InputError(
@@ -186,11 +186,11 @@ class ActuatorSection(Section):
                     "actuator_force and actuator_bandwidth in [limits]"
                 )
             return
-        if absent := [name for name in CURVED if name not in given]:
+        if absent := [name for name in CURVE_KEYS if name not in given]:
             raise InputError(f"{absent[0]} is missing; give c_min and c_max of the semi-active damper in N s/m")
-        tables = [name for name in CURVED if isinstance(getattr(self, name), ForceCurve)]
+        tables = [name for name in CURVE_KEYS if isinstance(getattr(self, name), ForceCurve)]
         if len(tables) == 1:
-            (other,) = {*CURVED} - {*tables}
+            (other,) = {*CURVE_KEYS} - {*tables}
             raise InputError(f"{tables[0]} is a curve, but {other} is a number; give two curves, or two numbers in N s/m")
         if not tables and not self.c_min < self.c_max:
             raise InputError(
@@ -226,9 +226,9 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         InputError: a key is unknown, a value is not allowed, or `[limits]` limits actuators that push.
     """
     endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
-    single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
+    single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVE_KEYS}
     if unknown := [name for name in single if name not in endings]:
-        known = f"give one of {listing(endings)}" if endings else "omit the section, as there is only one suspension"
+        known = f"give one of {list_names(endings)}" if endings else "omit the section, as there is only one suspension"
         raise InputError(f"[actuators.{unknown[0]}] is not a suspension of this vehicle; {known}")
     common = {name: value for name, value in section.items() if name not in single}
     if not corners and section:

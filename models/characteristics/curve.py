@@ -98,7 +98,7 @@ class ForceCurve:
     def __call__(self, x: Array) -> Array:
         """Returns the force at some arguments [N], shape (...)."""
         line = self.slope * np.asarray(x)
-        return line + self.pieces.force(x) if self.bent else line
+        return line + self.pieces.force(x) if self.is_nonlinear else line
 
     def scaled(self, factor: float) -> "ForceCurve":
         """Returns the curve with all forces multiplied by a factor."""
@@ -111,7 +111,7 @@ class ForceCurve:
         """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
-    def carrying(self, more: float) -> "ForceCurve":
+    def about_load(self, more: float) -> "ForceCurve":
         """Returns the curve of a spring about the rest at which it carries more load [N].
 
         Raises:
@@ -149,7 +149,7 @@ class ForceCurve:
         return Pieces(*np.array(rows).reshape(-1, 4).T)
 
     @cached_property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """True if it differs from its line."""
         return len(self.pieces.slope) > 0
 

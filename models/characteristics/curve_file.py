@@ -20,7 +20,7 @@ from models.characteristics.curve_log import dissipation, velocity_of
 from models.characteristics.measured_loop import mean_of_loop
 from models.characteristics.surface_table import surface_columns
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.files import origin, path_from, reading
 from models.common.printed import rough
 from models.common.quantities import QUANTITIES, Heading, columns_in_words, left_out_words
@@ -31,10 +31,10 @@ from models.common.units import QUANTITY, unit_size
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 GIVE_MATLAB = "give vectors with names such as velocity_m_s and force_N"
 ARGUMENTS = ("velocity", "deflection")
-SIGNED = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}  # in extension
+SIGN_HEADINGS = {"velocity": {"velocity", "vel", "v", "geschwindigkeit", "vitesse"}, "deflection": {"deflection"}}  # in extension
 ROLES = {  # words of each column
     "force": {"force", "load", "kraft", "effort"},
-    "velocity": {*SIGNED["velocity"], "speed"} - {"v"},
+    "velocity": {*SIGN_HEADINGS["velocity"], "speed"} - {"v"},
     "deflection": {"deflection", "displacement"},
     "time": {"time", "t", "timestamp", "zeit", "temps"},
 }
@@ -61,7 +61,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
             if isinstance(entry, str):
                 new: Any = _read({"file": entry}, folder, path, sources)
             elif isinstance(entry, list):
-                new = [_without_file(one) | _read(one, folder, path, sources) if _named(one) else one for one in entry]
+                new = [_without_file(one) | _read(one, folder, path, sources) if _names_file(one) else one for one in entry]
             else:
                 new = _read(entry, folder, path, sources)
         except InputError as error:
@@ -73,26 +73,26 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
 def _with_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yields the entries of curves, dampers and stops that name files, each with its path."""
     for section in ("curves", "actuators"):
-        yield from _naming(data.get(section), (section,))
+        yield from _entries_with_files(data.get(section), (section,))
     limits = data.get("limits")
     places = {(): limits} | ({(name,): one for name, one in limits.items()} if isinstance(limits, dict) else {})
     for place, section in places.items():
         for key in STOP_NAMES:
             if isinstance(section, dict) and key in section:
-                yield from _naming(section[key], ("limits", *place, key), texts=key == STOP)
+                yield from _entries_with_files(section[key], ("limits", *place, key), texts=key == STOP)
 
 
-def _naming(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _entries_with_files(entry: Any, path: tuple[str, ...], texts: bool = False) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yields the entries at and below a path that name files; with `texts` a text names a file, unless it is a quantity."""
     named = isinstance(entry, str) and texts and not _is_quantity(entry)
-    if named or _named(entry) or (isinstance(entry, list) and any(map(_named, entry))):
+    if named or _names_file(entry) or (isinstance(entry, list) and any(map(_names_file, entry))):
         yield path, entry
     elif isinstance(entry, dict):
         for name, one in entry.items():
-            yield from _naming(one, (*path, name), texts)
+            yield from _entries_with_files(one, (*path, name), texts)
 
 
-def _named(entry: Any) -> bool:
+def _names_file(entry: Any) -> bool:
     return isinstance(entry, dict) and "file" in entry
 
 
@@ -121,9 +121,9 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
     """Returns the table of a file, and adds a comment with its source and its path to the sources."""
     name = entry["file"]
     if not isinstance(name, str) or not name:
-        raise InputError(f"file = {quoted(name)} is not the name of a file; {GIVE}")
+        raise InputError(f"file = {short_repr(name)} is not the name of a file; {GIVE}")
     if others := [key for key in (*ARGUMENTS, "compression", "force", "note") if key in entry]:
-        raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
+        raise InputError(f"has a file and {list_names(others)}; a file has the whole table, so omit one of them")
     file, over = path_from(name, folder), _argument(path)
     with reading(file, "curve", GIVE):
         content = file.read_bytes()
@@ -132,7 +132,7 @@ def _read(entry: Mapping[str, Any], folder: Path, path: tuple[str, ...], sources
         table = _of_ratio(text) if over == RATIO else surface_columns(text, give) or _of_columns(text, over, give)
         if over and over not in table:
             other = "deflection" if over == RATIO else "force"
-            raise InputError(f"has the columns {listing(table)}; give {over} and {other}")
+            raise InputError(f"has the columns {list_names(table)}; give {over} and {other}")
     sources.append((origin(name, content), file))
     return table
 
@@ -162,26 +162,26 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
         each = [f"{columns_in_words([one])} is {roles.get(one.column, 'not read')}" for one in headings]
         missing = [role for role in LOG if not by_role[role]] or [f"only one of {role}" for role in LOG if len(by_role[role]) > 1]
         raise InputError(
-            f"has the columns {listing(one.name for one in headings)}; give velocity and force, or time, displacement and force, "
-            f"of one setting, with their units: {', '.join(each)}; needed: {listing(missing)}"
+            f"has the columns {list_names(one.name for one in headings)}; give velocity and force, or time, displacement and "
+            f"force, of one setting, with their units: {', '.join(each)}; needed: {list_names(missing)}"
         )
     if log:
         known = by_role["deflection"]
     if not known and any(by_role[one] for one in ARGUMENTS):
-        raise InputError(f"has the columns {listing(one.name for one in headings)}; give {over or wanted} and force")
+        raise InputError(f"has the columns {list_names(one.name for one in headings)}; give {over or wanted} and force")
     sheet = sorted(one.direction for one in forces) == [-1, 1]
-    told = {"deflection", "compression"} if over == "compression" else SIGNED[wanted]
+    told = {"deflection", "compression"} if over == "compression" else SIGN_HEADINGS[wanted]
     undirected = not sheet and not any(one.direction or told & one.words for one in (*known, *forces))
     asked = next((one for one in (*known, *headings) if one not in forces), headings[0])
     question = InputError(
-        f"column {asked.column} is called {quoted(asked.text)}; which direction is positive? Write compression or extension "
+        f"column {asked.column} is called {short_repr(asked.text)}; which direction is positive? Write compression or extension "
         f"above it ({wanted} is positive in extension)"
     )
     if undirected and not log and not (over == "compression" and known):
         raise question
     known = [one for one in known if one.direction or told & one.words] or known
     if len(known) != 1 or len(forces) != 1 + sheet:
-        columns = listing(one.name for one in headings)
+        columns = list_names(one.name for one in headings)
         raise InputError(f"has the columns {columns}; give two, {over or wanted} and force, of one setting")
     used = [known[0], *sorted(forces, key=lambda one: one.direction)]
     numbers = table.numbers([one.column - 1 for one in used])[0]
@@ -200,7 +200,7 @@ def _of_columns(text: str, over: str, give: str) -> dict[str, Any]:
     towards = named or int(wanted == "deflection" and wanted in used[0].words) or used[1].direction or 1
     x, force = towards * x, (named or used[1].direction or 1) * values[0]
     if (np.diff(x) <= 0).any() and (np.diff(x) >= 0).any():
-        turn, about = _dissipating(x, force, *used) if wanted == "velocity" else ((1.0, 1.0), [])
+        turn, about = _dissipation_signs(x, force, *used) if wanted == "velocity" else ((1.0, 1.0), [])
         loop = mean_of_loop(turn[0] * x, turn[1] * force, QUANTITIES[wanted].si, at_rest=wanted == "velocity")
         if loop is not None:
             x, force, said = loop
@@ -219,7 +219,7 @@ def _note(remarks: Sequence[str]) -> dict[str, str]:
     return {"note": "; ".join(remarks)} if remarks else {}
 
 
-def _dissipating(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
+def _dissipation_signs(velocity: Array, force: Array, motion: Heading, load: Heading) -> tuple[tuple[float, float], list[str]]:
     """Returns the signs of velocity and force with which a damper dissipates energy over a test, and a remark on the turned one.
 
     Args:
@@ -245,7 +245,7 @@ def _of_ratio(text: str) -> dict[str, Any]:
     travels = [one for one in headings if one.direction or "deflection" in one.words]
     if len(ratios) != 1 or len(travels) != 1:
         raise InputError(
-            f"has the columns {listing(one.name for one in headings)}; give one called ratio, and one called deflection, "
+            f"has the columns {list_names(one.name for one in headings)}; give one called ratio, and one called deflection, "
             "which is positive in extension, or compression"
         )
     numbers = table.numbers([one.column - 1 for one in (*travels, *ratios)])[0]
@@ -291,8 +291,8 @@ def _dpr_columns(text: str) -> str:
         units |= dict(zip(below[1].upper().split(), below[2].replace("'", " ").split(), strict=False))
     for key, name in (("LENGTH", "distance"), ("FORCE", "force"), ("TIME", "time")):
         if unit_size(units.get(key, ""), QUANTITIES[name].si) is None:
-            found = f"has {key} = {quoted(units[key])}" if key in units else f"has no {key}"
-            raise InputError(f"[UNITS] {found}; give one of {listing(QUANTITIES[name].units)}")
+            found = f"has {key} = {short_repr(units[key])}" if key in units else f"has no {key}"
+            raise InputError(f"[UNITS] {found}; give one of {list_names(QUANTITIES[name].units)}")
     heads = HEAD.findall(blocks["CURVE"])
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")

@@ -12,7 +12,7 @@ from models.common.arrays import Array
 NOISE = 4 / 2.4  # four standard deviations, over the third quartile of normal noise in the deviations of `slopes_at_rest`
 
 
-def thinned(x: Array, force: Array, error: float) -> Array:
+def point_indices(x: Array, force: Array, error: float) -> Array:
     """Returns the indices of the remaining points of a curve, shape (k,): the first, the last, rest, and as few as will do
     between.
 
@@ -58,7 +58,7 @@ def lines_from_rest(x: Array, force: Array, slopes: tuple[float, float], error: 
             near = np.abs(f - slope * side * s) <= error
             k = max(1, len(s) if near.all() else int(near.argmin()))
             s, f = s[k - 1 :], np.append(slope * side * s[k - 1], f[k:])
-            chosen = thinned(s - s[0], f, error)
+            chosen = point_indices(s - s[0], f, error)
             at += zip((side * s[chosen]).tolist(), f[chosen].tolist(), strict=True)
     ends, forces = np.array(sorted(at)).T
     return ends, forces

@@ -18,7 +18,7 @@ LEAST_SIDE = 3  # samples on both sides of a filter's middle
 NEARLY = 0.05  # of a cycle, which may be missing from a full one
 SAMPLES = 25.0  # per cycle, at least
 GAP = 10.0  # longest step over the mean step
-UNRELATED = 0.05  # correlation of force and velocity
+LEAST_CORRELATION = 0.05  # correlation of force and velocity
 
 
 def velocity_of(time: Array, displacement: Array, force: Array) -> tuple[Array, Array, str]:
@@ -68,6 +68,6 @@ def dissipation(velocity: Array, force: Array) -> float:
         InputError: the force does not depend on the velocity.
     """
     power = float(np.mean((velocity - velocity.mean()) * (force - force.mean())))
-    if not abs(power) > UNRELATED * float(velocity.std() * force.std()):
+    if not abs(power) > LEAST_CORRELATION * float(velocity.std() * force.std()):
         raise InputError("the force neither rises nor falls with velocity over the log; check which columns are force and motion")
     return power

@@ -8,11 +8,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from models.characteristics.curve import ForceCurve, slope_at_rest
-from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest, thinned
+from models.characteristics.curve_lines import lines_from_rest, point_indices, slopes_at_rest
 from models.characteristics.surface import ForceSurface, surface_of
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing
-from models.common.schema import HERE, SI, Listed, Section, Text, read
+from models.common.errors import InputError, error_in, list_names
+from models.common.schema import HERE, SI, ListedValues, Section, Text, read
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
@@ -28,7 +28,7 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
-    indices = thinned(v, smooth, FRICTION_ERROR - 1e-4)
+    indices = point_indices(v, smooth, FRICTION_ERROR - 1e-4)
     half = np.append(v[indices], 2 * FRICTION_ENDS), np.append(smooth[indices], 1.0)
     v, smooth = (np.concatenate([-part[:0:-1], part]) for part in half)
     return velocity * v, force * smooth
@@ -41,14 +41,14 @@ ERRORS = (0.005, 0.01, 0.02)  # over a curve's largest force, if its table has m
 ROUNDING = 1e-9  # of a range
 CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
 SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistake
-UNLOADED = 0.01  # of a spring's largest pull: a table that carries less has its signs reversed
+LEAST_PULL = 0.01  # of a spring's largest pull: a table that carries less has its signs reversed
 MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; over the largest force
 FRICTION = ("friction", "friction_velocity")
 ALONE = "is not allowed: a position-dependent damper cannot have friction, or other elements next to it; give it alone"
 
 
 @dataclass(frozen=True)
-class Argument(Listed):
+class Argument(ListedValues):
     """Argument of a curve: its ascending values.
 
     Attributes:
@@ -84,7 +84,7 @@ DEFLECTION = Argument(
     "deflections, positive in extension", SI("m", "", -1e9, 1e9), "", 2, MOST_POINTS, "deflection", 5.0, "mm", "N/m"
 )
 COMPRESSION = replace(DEFLECTION, name="compression", meaning="compressions, instead of deflections; forces are positive, too")
-FORCE = Listed("force at each point, positive in extension", SI("N", "", -1e9, 1e9), "", 2, MOST_POINTS)
+FORCE = ListedValues("force at each point, positive in extension", SI("N", "", -1e9, 1e9), "", 2, MOST_POINTS)
 Values = tuple[float, ...]
 
 
@@ -102,7 +102,7 @@ class TableSection(Section):
         if self.file is not None:
             raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
         if len(given) > 2:
-            raise InputError(f"has {listing(given[:-1])}; omit one of them")
+            raise InputError(f"has {list_names(given[:-1])}; omit one of them")
         for key in (given[0] if given and given != [self.of] else self.arguments[0], self.of):
             if key not in given:
                 what = f'{{ {self.arguments[0]} = [...], {self.of} = [...] }}, or {{ file = "NAME.csv" }}'
@@ -187,13 +187,15 @@ class SurfaceTable(Section):
 
     velocity: Annotated[Values, VELOCITY]
     deflection: Annotated[Values, DEFLECTION]
-    force: Annotated[tuple[Values, ...], Listed("a list of forces for each velocity, one for each deflection", FORCE, least=2)]
+    force: Annotated[
+        tuple[Values, ...], ListedValues("a list of forces for each velocity, one for each deflection", FORCE, least=2)
+    ]
 
     def __post_init__(self) -> None:
         widths = sorted({len(row) for row in self.force})
         if len(self.force) != len(self.velocity) or widths != [len(self.deflection)]:
             raise InputError(
-                f"{HERE}.force has {len(self.force)} lists, of {listing(map(str, widths))} numbers; give {len(self.velocity)} "
+                f"{HERE}.force has {len(self.force)} lists, of {list_names(map(str, widths))} numbers; give {len(self.velocity)} "
                 f"lists, one for each velocity, of {len(self.deflection)} numbers, one for each deflection"
             )
 
@@ -214,7 +216,7 @@ def read_curves(
     for name, entry in section.items():
         if name not in parameters:
             raise InputError(
-                f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
+                f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {list_names(parameters)}"
             )
         where, over = f"[curves] {name}", parameters[name]
         positional = over is VELOCITY and isinstance(entry, Mapping) and "deflection" in entry
@@ -264,7 +266,7 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
         force = np.where(x == 0, 0.0, force)
     ends, forces, words = as_lines(x, force, min((one.fit_error for one in tables if one.fit_error is not None), default=None))
     words = f"sum of {count} elements: {words}" if count > 1 else words
-    curve = _checked(ForceCurve(ends, forces, slope_at_rest(ends, forces), words), over)
+    curve = _check_curve(ForceCurve(ends, forces, slope_at_rest(ends, forces), words), over)
     if (error := float(np.abs(np.interp(x, ends, forces) - force).max())) > ROUNDING * curve.range:
         curve = replace(curve, whole=ForceCurve(x, force, slope_at_rest(x, force), ""), error=error)
     for one in tables:
@@ -283,7 +285,7 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
         alone: False for one of several tables, which may be a stop on one side of rest.
     """
     if preload:
-        x = x - _carrying(x, force, preload)
+        x = x - _deflection_under_load(x, force, preload)
     if not alone and not x[0] < 0 < x[-1] and abs(force[i := 0 if x[0] >= 0 else -1]) <= ROUNDING * np.abs(force).max():
         side = np.array([-x[-1], *[0.0] * bool(x[0] > 0)]) if i == 0 else np.array([*[0.0] * bool(x[-1] < 0), -x[0]])
         parts = ((side, x), (0 * side, force))
@@ -292,14 +294,14 @@ def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -
     return _from_rest(x, force, over)
 
 
-def _carrying(x: Array, force: Array, load: float) -> float:
+def _deflection_under_load(x: Array, force: Array, load: float) -> float:
     """Returns the deflection at which a spring carries a load."""
     left = force + load
     for i in np.flatnonzero((left[:-1] <= 0) & (left[1:] >= 0))[:1].tolist():
         return float(np.interp(0.0, left[i : i + 2], x[i : i + 2]))
     low, high = (max(0.0, float(each)) for each in (-force.max(), -force.min()))
     do = "extend the table, or correct preload"
-    if high < UNLOADED * force.max():
+    if high < LEAST_PULL * force.max():
         do = "if its deflections are positive in compression, call them compression"
     raise InputError(f"its table carries {low:.6g} to {high:.6g} N, but the static load is {load:.6g} N; {do}")
 
@@ -348,7 +350,7 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Array, str]:
     """Returns the curve in as few straight lines as will do, with the slopes of its points at rest, and its description."""
     largest = float(np.abs(force).max())
-    indices = thinned(x, force, ROUNDING * largest / 1e3)
+    indices = point_indices(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
     if fit_error is not None or len(indices) > MOST_LINES + 1:
         error, ends, forces = 0.0, x, force
@@ -366,7 +368,7 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
     return x[indices], force[indices], words
 
 
-def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
+def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
     """Returns the curve if a suspension can have it."""
     if over is VELOCITY:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
@@ -401,7 +403,7 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
         for at, column in zip(d, table.T, strict=True):
             with error_in(f"at deflection {at:g} m:"):
                 x, force, _ = _from_rest(v, column, VELOCITY)
-                columns.append(_checked(ForceCurve(x, force, slope_at_rest(x, force), ""), VELOCITY))
+                columns.append(_check_curve(ForceCurve(x, force, slope_at_rest(x, force), ""), VELOCITY))
         words = f"{len(v)} velocities by {len(d)} deflections, at most {np.abs(table).max():g} N"
     return surface_of(columns[0].x, d, np.stack([one.force for one in columns], axis=1), words)
 

@@ -45,7 +45,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
         return None
     to_top = np.isin(turns, tops)
     rising = np.append(to_top, not to_top[-1])[np.searchsorted(turns, np.arange(len(x)))]
-    branches = [_binned(x[side], force[side], x.min(), span) for side in (rising, ~rising)]
+    branches = [_bin_means(x[side], force[side], x.min(), span) for side in (rising, ~rising)]
     low, high = max(branch[0][0] for branch in branches), min(branch[0][-1] for branch in branches)
     if high - low < OVERLAP * span:
         return None
@@ -71,7 +71,7 @@ def slope_words(curve: ForceCurve) -> str:
     return f"; slope at rest {rough(curve.slope)} {slope}, of the mean of both branches between {low:g} and {high:g} {unit}"
 
 
-def _binned(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
+def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
     """Returns the mean points of a branch in bins of the argument, ascending."""
     which = np.minimum(((x - start) / span * BINS).astype(int), BINS - 1)
     count = np.bincount(which, minlength=BINS)

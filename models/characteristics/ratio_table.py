@@ -49,7 +49,7 @@ class RatioTable:
         return float(self(np.zeros(())))
 
     @cached_property
-    def turn(self) -> float:
+    def relative_slope(self) -> float:
         """r'(0) over r(0) [1/m], the mean of both sides of rest."""
         i = int(np.searchsorted(self.x, 0.0))
         x = np.insert(self.x, i, 0.0) if 0.0 not in self.x else self.x
@@ -59,7 +59,7 @@ class RatioTable:
         """Returns the table times a factor, with another ratio at rest."""
         return replace(self, ratio=self.ratio * (at_rest / self.at_rest))
 
-    def about(self, rest: float) -> "RatioTable":
+    def shifted_to(self, rest: float) -> "RatioTable":
         """Returns the table over deflections from another rest [m].
 
         Raises:
@@ -71,7 +71,7 @@ class RatioTable:
             )
         return replace(self, x=self.x - rest)
 
-    def carrying(self, rate: float, load: float, other: float) -> float:
+    def rest_at_load(self, rate: float, load: float, other: float) -> float:
         """Returns the deflection at which a spring of a rate [N/m] that carries a load at rest carries another one [N]."""
         low, high = -FARTHEST, FARTHEST
         for _ in range(HALVINGS):

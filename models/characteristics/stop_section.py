@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from models.characteristics import SIDES, STOP, STOP_KEYS
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
 
@@ -37,7 +37,8 @@ class OfSides(Key):
         given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
         if not given or not set(given) <= set(SIDES):
             raise InputError(
-                f"{HERE} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
+                f"{HERE} = {short_repr(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a "
+                "number"
             )
         return StopPair(*(below(f".{side}", self.one, given[side], context) if side in given else None for side in SIDES))
 
@@ -63,8 +64,8 @@ class StopStiffness(Key):
             return SI("N/m").number(HERE, value)
         if not 1 <= len(value) <= MOST:
             raise InputError(
-                f"{HERE} = {quoted(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by x they "
-                "push back with k_1 x + k_2 x^2 + k_3 x^3"
+                f"{HERE} = {short_repr(list(value))} has {len(value)} coefficients; give 1 to {MOST}: of a stop compressed by "
+                "x they push back with k_1 x + k_2 x^2 + k_3 x^3"
             )
         units = zip(value, ("N/m", "N/m2", "N/m3"), (SMALLEST, 0.0, 0.0), strict=False)
         return tuple(SI(unit, low=low).number(f"{HERE}[{i}]", k) for i, (k, unit, low) in enumerate(units))

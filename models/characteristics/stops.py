@@ -22,7 +22,7 @@ import numpy as np
 from models.characteristics import SIDES, STOP_KEYS, STOP_NAMES
 from models.characteristics.stop_section import MOST, StopPair, StopSection
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing
+from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, read
 
 if TYPE_CHECKING:
@@ -236,11 +236,13 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
     known, places = places_of(corners), {"": common}
     for name, value in own.items():
         if name not in known:
-            has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_NAMES)}")
+            has = f"sections {list_names(known)}" if known else "no sections, for there is one suspension"
+            raise InputError(
+                f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {list_names(STOP_NAMES)}"
+            )
         places[name] = read(f"[limits.{name}]", StopSection, value)
     for corner in corners:
-        stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
+        stroke, stiffness = (_corner_key(places, corner, key) for key in STOP_KEYS)
         polynomial = any(not isinstance(_of_side(stiffness, side), StopTable | None) for side in SIDES)
         if stiffness is None if stroke is not None else polynomial:
             where = f" of {corner}" if corner and len(places) > 1 else ""
@@ -261,7 +263,7 @@ def places_of(corners: Sequence[str]) -> tuple[str, ...]:
 
 def stops_at(places: Mapping[str, StopSection], corner: str) -> BumpAndRebound | None:
     """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
-    stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
+    stroke, stiffness = (_corner_key(places, corner, key) for key in STOP_KEYS)
     pair = stops(stroke, stiffness or 0.0)
     return pair if any(math.isfinite(stop.stroke) for stop in pair) else None
 
@@ -287,7 +289,7 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
     return f" ({', '.join(names)})"
 
 
-def _said(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
+def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
     """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
     values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
     return values.get(max(values, key=len, default=""))

@@ -70,7 +70,7 @@ class ForceSurface(ForceCurve):
     together = None  # pyright: ignore[reportAssignmentType]  # each has cells of its own
 
     @cached_property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         v = self.velocities[:, None] / self.ratio  # of the suspension, at all points of the table
         return bool((np.abs(self.beyond(v, self.deflections)) > STRAIGHT * self.range).any())
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.quantities import QUANTITIES, Heading
 from models.common.table import NumberTable, find_table
 from models.common.units import unit_named, unit_size
 
 NAMES = ("velocity", "deflection", "force")
-NAMED = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
+QUANTITY_WITH_UNIT = re.compile(r"([a-zA-Z_ ]+)[\[(]\s*([^\])]+?)\s*[\])]")  # a quantity with its unit
 FIRST_CELL = "velocity [m/s] / deflection [m] / force [N]"
-MEASURED = 4  # pairs of velocity and deflection per row: a list with more is not a table
+PAIRS_PER_ROW = 4  # pairs of velocity and deflection per row: a list with more is not a table
 
 
 def surface_columns(text: str, give: str) -> dict[str, Any] | None:
@@ -35,19 +35,19 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     if across is None:
         headings = table.headings([QUANTITIES[name].si for name in NAMES])
     else:
-        headings = [Heading(name.strip(), name.strip(), unit_named(unit)) for name, unit in NAMED.findall(corner)]
+        headings = [Heading(name.strip(), name.strip(), unit_named(unit)) for name, unit in QUANTITY_WITH_UNIT.findall(corner)]
     of = {name: [one for one in headings if unit_size(one.unit, QUANTITIES[name].si)] for name in NAMES}
     if len(headings) != len(NAMES) or any(len(found) != 1 for found in of.values()):
         if across is None:
             return None
-        raise InputError(f"its first cell is {quoted(corner)}; write the quantities with their units there: {FIRST_CELL}")
+        raise InputError(f"its first cell is {short_repr(corner)}; write the quantities with their units there: {FIRST_CELL}")
     scale = {name: found[0].scale(name) for name, found in of.items()}
     directions = {name: found[0].direction for name, found in of.items()}
     numbers = table.numbers()[0]
     if across is None:
         columns = {name: numbers[:, found[0].column - 1] for name, found in of.items()}
         (v, i), (d, j) = (np.unique(columns[name], return_inverse=True) for name in NAMES[:2])
-        if len(v) * len(d) > MEASURED * len(numbers):
+        if len(v) * len(d) > PAIRS_PER_ROW * len(numbers):
             return None
         force = np.full((len(v), len(d)), np.nan)
         force[i, j] = columns["force"]
@@ -58,7 +58,7 @@ def surface_columns(text: str, give: str) -> dict[str, Any] | None:
     for name in NAMES[:2]:
         if not (directions[name] or name in of[name][0].words):
             raise InputError(
-                f"{quoted(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
+                f"{short_repr(of[name][0].text)} has no direction; write {name}, which is positive in extension, or compression"
             )
     along = -1 if min(directions["velocity"], directions["force"]) < 0 else 1
     v, d, force = along * scale["velocity"] * v, scale["deflection"] * d, along * scale["force"] * force

@@ -1,7 +1,8 @@
 """Checks of values by their annotations: a value that does not fit raises an `InputError` with the name of the argument.
 
-`models.common.lazy` wraps every public function in `validated`; calls within the packages are not checked. Dataclasses are
-`Checked`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: only type checkers resolve it.
+`models.common.lazy` wraps every public function in `check_arguments`; calls within the packages are not checked. Dataclasses are
+`CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: only type checkers resolve
+it.
 """
 
 import inspect
@@ -18,7 +19,7 @@ from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origi
 import numpy as np
 
 from models.common.arrays import Array, check_unmasked, is_masked
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.files import path_from
 from models.common.units import in_unit
 
@@ -82,7 +83,7 @@ def check(name: str, value: Any, annotation: Any) -> Any:
         return _fit("", value, annotation)
     except _UnfitError as error:
         place, part, allowed, message = error.args
-        message = message or f"{HERE} = {quoted(part)} is not allowed; give {_words(allowed)}"
+        message = message or f"{HERE} = {short_repr(part)} is not allowed; give {_words(allowed)}"
         raise InputError(message.replace(HERE, f"{name}{place}")) from None
 
 
@@ -102,7 +103,7 @@ def check_fields(value: Any, prefix: str = "") -> None:
             object.__setattr__(value, field.name, fitting)
 
 
-class Checked:
+class CheckedFields:
     """Base of dataclasses whose fields fit their annotations; see `check_fields`."""
 
     def __post_init__(self) -> None:
@@ -115,7 +116,7 @@ def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> No
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
-def validated(function: F) -> F:
+def check_arguments(function: F) -> F:
     """Returns a function that checks its arguments by their annotations before it is called.
 
     The function also warns of all remarks on the vehicle or the runs that it returns, each once.
@@ -130,7 +131,7 @@ def validated(function: F) -> F:
                 bound.arguments[name] = check(name, value, signature.parameters[name].annotation)
         given = function(*bound.args, **bound.kwargs)
         several = given if isinstance(given, list) else [given]
-        for doubt in dict.fromkeys(doubt for one in several for doubt in getattr(one, "doubts", ())):
+        for doubt in dict.fromkeys(doubt for one in several for doubt in getattr(one, "warnings", ())):
             warnings.warn(doubt, stacklevel=2)
         return given
 
@@ -203,7 +204,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
         for key, one in value.items() if fits else ():
             if not (_obviously(key, inner[0]) and _obviously(one, inner[1])):
                 _fit(place, key, inner[0])
-                _fit(f"{place}[{quoted(key)}]", one, inner[1])
+                _fit(f"{place}[{short_repr(key)}]", one, inner[1])
     elif inner and issubclass(outer, Iterable):
         value = plain(value)
         if fits := isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):

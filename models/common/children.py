@@ -49,7 +49,7 @@ class Child:
             start_new_session=True,  # Ctrl-C is for the parent
             env=ONE_THREAD | os.environ,
         )
-        _running.add(process)
+        _running_processes.add(process)
         self._process, self._answers = process, queue.SimpleQueue[Any]()
         self.end = weakref.finalize(self, _end, process)
         threading.Thread(target=_read, args=(process.stdout, self._answers), daemon=True, name="roadproof-child").start()
@@ -98,12 +98,12 @@ class Child:
         return answer
 
 
-_running: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # the processes of all children
+_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # the processes of all children
 
 
 def kill_children() -> None:
     """Ends all children at once, whatever they are doing, so that nothing waits for their answers."""
-    for process in list(_running):
+    for process in list(_running_processes):
         process.kill()
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import NoReturn
 
-INTERRUPTED = 130
+INTERRUPT_EXIT_CODE = 130
 GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
 # No command renders with MuJoCo, which would start a second Python to look for GLFW. A second BLAS thread waits for work without
 # sleeping, and uses more of the processor than the small products do.
@@ -85,7 +85,7 @@ def _exit_code(command: str, error: BaseException, interrupted: bool) -> int:
         return 0
     if interrupted or isinstance(error, KeyboardInterrupt):
         complain(str(error) if isinstance(error, KeyboardInterrupt) and str(error) else "interrupted")
-        return INTERRUPTED
+        return INTERRUPT_EXIT_CODE
     if isinstance(error, InputError):
         complain(str(error))
         return error.exit_code

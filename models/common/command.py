@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from models.common.errors import TRACEBACK, InputError, listing, one_line
-from models.common.printed import WIDTH, command, show, wrapped
+from models.common.errors import TRACEBACK, InputError, list_names, one_line
+from models.common.printed import WIDTH, command, show, wrap_text
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
 
@@ -197,14 +197,14 @@ class Parser(argparse.ArgumentParser):
 
     def add_gone(self, option: str, instead: str) -> None:
         """Refuses an option that is gone, with what to do instead."""
-        self.add_argument(option, action=_Gone, help=argparse.SUPPRESS, instead=instead)
+        self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
-def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
+def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
     """Returns the controllers that `--controller` selects, in the given order.
 
     Args:
@@ -219,7 +219,7 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
         if name not in (ALL, *names):
             several = re.split(r"[\s,]+", name)
             each = f"; repeat the option, as in --controller {' --controller '.join(several)}" * ({*several} <= {*names})
-            raise InputError(f"unknown controller {name!r}; the controllers of this vehicle are {listing(names)}{each}")
+            raise InputError(f"unknown controller {name!r}; the controllers of this vehicle are {list_names(names)}{each}")
         if (given or []).count(name) > 1:
             raise InputError(f"--controller {name} is given twice; give it once")
     if not given and not usual:
@@ -238,17 +238,19 @@ def chosen_of(
 
     Args:
         vehicles: all controllers of each vehicle, by a key of the vehicle.
-        given, usual: names on the command line and default names, as in `chosen`.
+        given, usual: names on the command line and default names, as in `chosen_controllers`.
 
     Raises:
-        InputError: bad names as in `chosen`, or a vehicle without any of the controllers.
+        InputError: bad names as in `chosen_controllers`, or a vehicle without any of the controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
-    every = chosen(known, given, usual)
+    every = chosen_controllers(known, given, usual)
     selected = {key: [name for name in every if name in names] for key, names in vehicles.items()}
     for key, names in vehicles.items():
         if not selected[key]:
-            raise InputError(f"--vehicle {key} does not have any of the controllers {listing(every)}; it has {listing(names)}")
+            raise InputError(
+                f"--vehicle {key} does not have any of the controllers {list_names(every)}; it has {list_names(names)}"
+            )
     return selected
 
 
@@ -291,7 +293,7 @@ class _Vehicles(argparse.Action):
         setattr(namespace, self.dest, (*before, values))
 
 
-class _Gone(argparse.Action):
+class _GoneOption(argparse.Action):
     """Option that is gone."""
 
     def __init__(self, option_strings, dest, instead, help=None) -> None:
@@ -322,9 +324,9 @@ def complain(message: str) -> None:
 _remarks = list[str]()  # of the running command, on its vehicles and roads
 
 
-def remarked(given: Any) -> Any:
+def print_remarks(given: Any) -> Any:
     """Returns a vehicle or a road after printing the remarks on it to stderr, each once in a command."""
-    for doubt in given.doubts:
+    for doubt in given.warnings:
         if doubt not in _remarks:
             _remarks.append(doubt)
             complain(doubt)
@@ -339,7 +341,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 def _page(text: str) -> str:
     """Returns a text of `--help` with its paragraphs wrapped; an example, which is indented, goes on after a backslash."""
     text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # lines of a paragraph
-    lines = [_example(line) if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
+    lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 
 

@@ -42,7 +42,7 @@ def one_line(message: str) -> str:
     return middle_cut("".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line), LONGEST)
 
 
-def quoted(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """Returns the `repr` of a value of any type and size, cut in the middle, for a message."""
     return middle_cut(_shortly.repr(getattr(value, "tolist", lambda: value)()), LONGEST_VALUE)
 
@@ -55,7 +55,7 @@ def middle_cut(text: str, most: int) -> str:
     return f"{text[: kept - kept // 2]} ... {text[-(kept // 2) :]}"
 
 
-def listing(names) -> str:
+def list_names(names) -> str:
     """Returns the allowed names as a list for a message."""
     return ", ".join(sorted(names)) or "none"
 
@@ -69,7 +69,7 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
     """Returns the allowed names as a list for a message; of many only those that are most like a wrong one."""
     known = sorted(names)
     if len(known) <= most:
-        return listing(known)
+        return list_names(known)
     near = difflib.get_close_matches(str(name)[:LONGEST_VALUE], known, n=most // 2, cutoff=0.0)
     return first_few(near + [one for one in known if one not in near], most // 2)
 

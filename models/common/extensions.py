@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from models.common.errors import InputError, alike
-from models.common.lazy import named
+from models.common.lazy import resolve_name
 
 
 class Registry(dict[str, str]):
@@ -34,7 +34,7 @@ class Registry(dict[str, str]):
         """
         if name not in self:
             raise InputError(f"{self.sort} {name!r} is not known; known are {alike(name, self)}")
-        return named(self[name])
+        return resolve_name(self[name])
 
 
 _STANDARD = "sim.studies.ride.kinds.standard"
@@ -61,10 +61,10 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "zero_l": "synth.design.two_step:zero_l",
         "descent": "synth.design.fallback:descent",
         "refinement": "synth.design.fallback:refinement",
-        "structured": "synth.design.fixed_order.fixed_order:structured",
+        "structured": "synth.design.fixed_order.fixed_order:design_structured",
         "riccati": "synth.design.full_order.full_order:riccati",
         "goals": "synth.design.multi_objective.design:for_goals",
-        "sampled": "synth.design.sampled_data:sampled",
+        "sampled": "synth.design.sampled_data:design_sampled",
         "mu": "synth.design.uncertainty.robust_design:mu",
         "lqr": "synth.design.full_order.quadratic:quadratic",
         "lqg": "synth.design.full_order.quadratic:quadratic",
@@ -162,7 +162,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "roll": f"{_STANDARD}:Roll",
         "final_angle": f"{_STANDARD}:FinalAngle",
         "rms_acceleration": f"{_STANDARD}:RmsAcceleration",
-        "ride": f"{_STANDARD}:Weighted",
+        "ride": f"{_STANDARD}:WeightedRms",
         "vdv": f"{_STANDARD}:VibrationDose",
         "mtvv": f"{_STANDARD}:TransientVibration",
         "crest": f"{_STANDARD}:Crest",

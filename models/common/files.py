@@ -20,7 +20,9 @@ from typing import Any
 
 from models.common.errors import InputError
 
-UNQUOTED = re.compile(r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)")  # a number with a unit
+UNQUOTED_QUANTITY = re.compile(
+    r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)"
+)  # a number with a unit
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -39,7 +41,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         elif re.search("Cannot (overwrite|declare)", str(error)):
             instead = "; a key or a section is there twice, so omit one of the two"
         elif line := re.search(r"at line (\d+)", str(error)):
-            unit = UNQUOTED.search(text.splitlines()[int(line[1]) - 1])
+            unit = UNQUOTED_QUANTITY.search(text.splitlines()[int(line[1]) - 1])
             instead += f'; write a number with its unit in quotes, as in "{unit[1].strip()}"' if unit else ""
         raise InputError(f"this is not valid TOML: {error}{instead}") from error
 
@@ -51,7 +53,7 @@ def path_from(file: str | Path, folder: Path = Path()) -> Path:
 
 STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened
 # In a block of `together`, the complete files that are not yet renamed, and their targets; None outside it.
-_waiting: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
+_waiting_files: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
 
 
 @contextmanager
@@ -70,9 +72,9 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
     stream = _is_stream(target)
     folder = Path(tempfile.gettempdir()) if stream else target.parent
     beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{path.suffix}"
-    waiting = _waiting.get()
+    waiting = _waiting_files.get()
     try:
-        with _writing(path, what, instead):
+        with _system_errors(path, what, instead):
             yield beside
             if stream:
                 sys.stdout.flush()
@@ -104,14 +106,14 @@ def together() -> Iterator[None]:
         InputError: the files cannot be renamed.
     """
     waiting: list[tuple[Path, Path]] = []
-    token = _waiting.set(waiting)
+    token = _waiting_files.set(waiting)
     try:
         yield
         for beside, target in waiting:
-            with _writing(target, "output", "fix the cause and run the command again"):
+            with _system_errors(target, "output", "fix the cause and run the command again"):
                 beside.replace(target)
     finally:
-        _waiting.reset(token)
+        _waiting_files.reset(token)
         for beside, _ in waiting:
             beside.unlink(missing_ok=True)
 
@@ -150,7 +152,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
     check_folder(path, what, instead)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        with _writing(path, what, instead):
+        with _system_errors(path, what, instead):
             path.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
@@ -161,7 +163,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 
 @contextmanager
-def _writing(path: Path, what: str, instead: str) -> Iterator[None]:
+def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
     """Turns an error of the system into an InputError; the end of a pipe's reader stays as it is."""
     try:
         yield
@@ -194,7 +196,7 @@ def _is_stream(path: Path) -> bool:
 
 def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
     """Writes a file in a folder and removes it: permission bits do not decide, as on read-only disks."""
-    with _writing(path, what, instead), tempfile.TemporaryFile(dir=folder):
+    with _system_errors(path, what, instead), tempfile.TemporaryFile(dir=folder):
         pass
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def named(where: str) -> "Any":
+def resolve_name(where: str) -> "Any":
     """Returns what a registry names as "module:name", or as "module"."""
     module, _, name = where.partition(":")
     found = importlib.import_module(module)
@@ -35,9 +35,9 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
         module = importlib.import_module(where[name])
         value = getattr(module, name, None) or importlib.import_module(f"{where[name]}.{name}")
         if isinstance(value, types.FunctionType):
-            from models.common.checks import validated
+            from models.common.checks import check_arguments
 
-            value = validated(value)
+            value = check_arguments(value)
         setattr(sys.modules[package], name, value)  # later accesses do not come here
         return value
 

@@ -67,20 +67,20 @@ def size(rows: Sequence[Any]) -> str:
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
 
-def pasted(words: Sequence[str]) -> str:
+def shell_line(words: Sequence[str]) -> str:
     """Returns a command as one line, its words quoted for a shell."""
     return shlex.join(words)
 
 
 def pasted_path(path: Path) -> str:
     """Returns a path as a quoted argument; one that begins with "-" is preceded by "./"."""
-    return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
+    return shell_line([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
 
 
-LASTING = 3.0  # s after which a line of progress also shows its time
+LONG_STAGE = 3.0  # s after which a line of progress also shows its time
 _overwritten, _printing = threading.Event(), threading.Lock()
 
 
@@ -99,7 +99,7 @@ def show(message: str) -> None:
 
 def _count(message: str, overwritten: threading.Event) -> None:
     """Prints a line of progress with its time again and again, until it is overwritten."""
-    start, pause = time.monotonic(), LASTING
+    start, pause = time.monotonic(), LONG_STAGE
     while not overwritten.wait(pause):
         pause = 1.0
         with _printing:
@@ -144,13 +144,13 @@ class Whole(str):
 
 
 def say(lines: Iterable[str]) -> None:
-    """Prints lines, wrapped by `fitted`."""
-    print("\n".join(fitted(lines)), flush=True)
+    """Prints lines, wrapped by `fit_lines`."""
+    print("\n".join(fit_lines(lines)), flush=True)
 
 
-def fitted(lines: Iterable[str]) -> list[str]:
+def fit_lines(lines: Iterable[str]) -> list[str]:
     """Returns lines of at most `WIDTH`: a longer one is broken, and continues indented by two more columns."""
-    return [part for line in lines for part in (wrapped(line) if len(line) > WIDTH else [line])]
+    return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
 
 LINES = 24  # of a terminal
@@ -158,21 +158,21 @@ LINES = 24  # of a terminal
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:
     """Returns the sentences that a terminal has room for beside other lines, the first in any case, and how many are left."""
-    room, lines = LINES - len(fitted(others)), list[str]()
+    room, lines = LINES - len(fit_lines(others)), list[str]()
     for i, sentence in enumerate(sentences):
         more = len(sentences) - i - 1
-        if i and len(lines) + len(fitted([sentence])) + bool(more) > room:
+        if i and len(lines) + len(fit_lines([sentence])) + bool(more) > room:
             return [*lines, f"-v prints {more + 1} more sentence{'s' * bool(more)}"]
-        lines += fitted([sentence])
+        lines += fit_lines([sentence])
     return lines
 
 
-def titled(title: str, source: str) -> list[str]:
+def title_lines(title: str, source: str) -> list[str]:
     """Returns a title, and below it the path of its source."""
     return [title, Whole(f"{GAP}{source}")]
 
 
-def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
+def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
     """Returns a text in lines of at most `WIDTH`, without breaking words or separating a number from its unit.
 
     Args:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.units import FORCE, LENGTH, MOMENT, TIME, VELOCITY, unit_named, unit_size
 
 
@@ -112,12 +112,12 @@ class Heading:
         """
         units, si = QUANTITIES[quantity].units, QUANTITIES[quantity].si
         size = unit_size(self.unit, si)
-        column = f"column {self.column}, {quoted(self.text)}," if self.text else f"column {self.column}"
-        allowed, instead = f"allowed: {listing(units)}", f", or give :{option}={si}" if option else ""
+        column = f"column {self.column}, {short_repr(self.text)}," if self.text else f"column {self.column}"
+        allowed, instead = f"allowed: {list_names(units)}", f", or give :{option}={si}" if option else ""
         if given and size not in (None, units[given]):
             raise InputError(f"{column} is in {self.unit}, but {option} = {given} is given; omit or correct one")
         if not given and self.unit and size is None:
-            raise InputError(f"{column} has the unit {quoted(self.unit)} ({allowed}); convert the column{instead}")
+            raise InputError(f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):
             name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # also of a variable in MATLAB
             raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")
@@ -148,7 +148,7 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
 
 def columns_in_words(headings: Sequence[Heading]) -> str:
     """Returns columns by their numbers and headings, as in: columns 1 ('X') and 2 ('Y')."""
-    names = [f"{one.column} ({quoted(one.text)})" for one in headings]
+    names = [f"{one.column} ({short_repr(one.text)})" for one in headings]
     return f"column{'s' * (len(names) > 1)} {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}"
 
 

@@ -19,7 +19,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin
 
 from models.common.checks import HERE, is_finite
-from models.common.errors import InputError, alike, error_in, listing, number_range, quoted
+from models.common.errors import InputError, alike, error_in, list_names, number_range, short_repr
 from models.common.units import in_unit, setting
 
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
@@ -84,7 +84,7 @@ class SI(Key):
         """
         value = in_unit(value, self.unit, what)
         if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
-            raise InputError(f"{what} = {quoted(value)} is not allowed; give {self.words}{self.more}")
+            raise InputError(f"{what} = {short_repr(value)} is not allowed; give {self.words}{self.more}")
         return float(value)
 
     @property
@@ -110,7 +110,7 @@ class Flag(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> bool:
         """Returns the truth value."""
         if not isinstance(value, bool):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give true or false{self.more}")
+            raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give true or false{self.more}")
         return value
 
 
@@ -127,7 +127,7 @@ class Integer(Key):
         """Returns the integer."""
         if isinstance(value, bool) or not isinstance(value, int) or not self.low <= value <= self.high:
             raise InputError(
-                f"{HERE} = {quoted(value)} is not allowed; give an integer from {self.low} to {self.high}{self.more}"
+                f"{HERE} = {short_repr(value)} is not allowed; give an integer from {self.low} to {self.high}{self.more}"
             )
         return value
 
@@ -148,7 +148,7 @@ class Choice(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if not isinstance(value, str) or value not in self.texts:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {' or '.join(map(repr, self.texts))}{self.more}")
+            raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give {' or '.join(map(repr, self.texts))}{self.more}")
         return value
 
     @property
@@ -168,12 +168,12 @@ class Text(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> str:
         """Returns the text."""
         if not isinstance(value, str):
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a text in quotes{self.more}")
+            raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a text in quotes{self.more}")
         return value
 
 
 @dataclass(frozen=True)
-class Listed(Key):
+class ListedValues(Key):
     """A list of values, each of which another key reads; `more` ends the message for a list of another length."""
 
     meaning: str = ""
@@ -189,7 +189,7 @@ class Listed(Key):
         """Returns the values."""
         listed = isinstance(value, list | tuple)
         if not listed or not self.least <= len(value) <= (self.most or len(value)):
-            wrong = f"has {len(value)} value(s)" if listed and value else f"= {quoted(value)} is not allowed"
+            wrong = f"has {len(value)} value(s)" if listed and value else f"= {short_repr(value)} is not allowed"
             least = f" of at least {'one value' if self.least == 1 else f'{self.least} values'}" * bool(self.least)
             most = f", and at most {self.most}" if self.most else ""
             raise InputError(f"{HERE} {wrong}; give a list{least}{most}{self.more}")
@@ -211,7 +211,9 @@ class AnyTable(Key):
     def read(self, value: Any, context: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns the table."""
         if not isinstance(value, Mapping):
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; write its name in single brackets, and its keys below")
+            raise InputError(
+                f"{HERE} = {short_repr(value)} is not a table; write its name in single brackets, and its keys below"
+            )
         return value
 
 
@@ -230,9 +232,9 @@ class Subsection(Key):
         """Returns the section."""
         fitting = self.sections if isinstance(value, Mapping) else ()
         if len(fitting) > 1:
-            fitting = [one for one in fitting if next(iter(required(one))) in value]
+            fitting = [one for one in fitting if next(iter(required_keys(one))) in value]
         if len(fitting) != 1:
-            raise InputError(f"{HERE} = {quoted(value)} is not allowed; give {self.give}")
+            raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give {self.give}")
         return read(HERE, fitting[0], value, **context)
 
     @property
@@ -259,10 +261,10 @@ class BySignal(Key):
         units, what = context[self.names], self.names.removesuffix("s")
         if not isinstance(value, Mapping):
             example = f"{{ {next(iter(units), what)} = {max(self.low, 0.01):g} }}"
-            raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {example}")
+            raise InputError(f"{HERE} = {short_repr(value)} is not a table; give a table, as in {example}")
         for name in value:
             if name not in units:
-                raise InputError(f"{HERE}: unknown {what} {quoted(name)}; give one of {alike(name, units)}")
+                raise InputError(f"{HERE}: unknown {what} {short_repr(name)}; give one of {alike(name, units)}")
         ranges = {name: SI(self.unit or units[name], low=self.low, high=self.high) for name in value}
         return {name: ranges[name].number(f"{HERE}.{name}", one) for name, one in value.items()}
 
@@ -319,14 +321,14 @@ class Section:
     def record(self) -> dict[str, Any]:
         """The section in a log: its keys that differ from the defaults, in SI units."""
         given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
-        return {name: _recorded(value) for name, (value, usual) in given.items() if value != usual}
+        return {name: _plain_value(value) for name, (value, usual) in given.items() if value != usual}
 
 
-def _recorded(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """Returns a value of a section as TOML and JSON hold it."""
     if isinstance(value, Section):
         return value.record
-    return [_recorded(one) for one in value] if isinstance(value, tuple) else value
+    return [_plain_value(one) for one in value] if isinstance(value, tuple) else value
 
 
 S = TypeVar("S", bound=Section)
@@ -348,18 +350,18 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
     if not isinstance(given, Mapping):
         write = f"section; write {where} once, and its keys below"
         if not where.endswith("]"):
-            write = f"table; give {{ ... }} with keys of {listing(keys(section))}"
-        raise InputError(f"{where} = {quoted(given)} is not a {write}")
+            write = f"table; give {{ ... }} with keys of {list_names(keys(section))}"
+        raise InputError(f"{where} = {short_repr(given)} is not a {write}")
     with error_in(where):
         given = section.prepared(given)
     for name in given:
         if name not in keys(section):
             if hint := section.hints.get(name):
-                raise InputError(f"{where} {quoted(name)} {hint}".lstrip())
+                raise InputError(f"{where} {short_repr(name)} {hint}".lstrip())
             stem = next((key for key in keys(section) if section.by_place and name.startswith(f"{key}_")), "")
             known = f"known keys: {alike(name, keys(section))}"
             instead = f"write {stem} in a section {where[:-1]}.{name.removeprefix(f'{stem}_')}]" if stem else known
-            raise InputError(f"{where} unknown key {quoted(name)}; {instead}".lstrip())
+            raise InputError(f"{where} unknown key {short_repr(name)}; {instead}".lstrip())
     values, seen = dict[str, Any](), dict[str, Any]()
     for one in fields(section):  # pyright: ignore[reportArgumentType]
         name, key, usual = one.name, keys(section)[one.name], _default(one)
@@ -367,15 +369,15 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
             unit = f" [{key.unit}]" if key.unit else ""
             raise InputError(f"{where} {name} is missing; give {name}{unit}: {key.meaning}".lstrip())
         if name in given and (given[name] is not None or usual is not None):  # a log has null for what is not given
-            with placed(where, [name]):
+            with locate_errors(where, [name]):
                 values[name] = key.read(given[name], {**seen, **context})
         seen[name] = values.get(name, usual)
-    with placed(where, []):
+    with locate_errors(where, []):
         return section(**values)
 
 
 @contextmanager
-def placed(where: str, path: Sequence[str]) -> Iterator[None]:
+def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
     """Names section and key in the message of an InputError, in the place of `HERE`, or at its beginning."""
     try:
         yield
@@ -399,7 +401,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
         for part in text.split(":")[1:]:
             name, equals, value = part.partition("=")
             if not equals or name not in (names or known):
-                raise InputError(f"{part!r} is not a setting NAME=VALUE; NAME must be one of {listing(names or known)}")
+                raise InputError(f"{part!r} is not a setting NAME=VALUE; NAME must be one of {list_names(names or known)}")
             if name in given:
                 raise InputError(f"{name} is given twice, as {given[name]!r} and as {value!r}; give it once")
             given[name] = value
@@ -424,7 +426,7 @@ def keys(section: type) -> dict[str, Key]:
     return {one.name: _key(one.type) for one in fields(section)}
 
 
-def required(section: type) -> list[str]:
+def required_keys(section: type) -> list[str]:
     """Returns the names of the keys of a section that have no default."""
     return [one.name for one in fields(section) if _default(one) is MISSING]
 
@@ -436,11 +438,11 @@ def _default(field: "Field[Any]") -> Any:
 
 def json_schema(section: type) -> dict[str, Any]:
     """Returns the JSON schema of a section's table."""
-    properties = {name: described(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
-    return {"type": "object", "properties": properties, "required": required(section), "additionalProperties": False}
+    properties = {name: described_key(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
+    return {"type": "object", "properties": properties, "required": required_keys(section), "additionalProperties": False}
 
 
-def described(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:
+def described_key(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[str, Any]:
     """Returns the JSON schema of a key with its meaning and unit, which editors show."""
     return {**schema, "description": f"{meaning}{f' [{unit}]' if unit else ''}"}
 

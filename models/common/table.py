@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.logs.lvm import MAGIC, lvm_text
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
@@ -29,7 +29,7 @@ from models.common.units import unit_size
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
 COMMENT = re.compile(r"\s*(#|%|!|//)")
 THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000, or of thousands
-SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the word before it
+SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the word before it
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
 LONGEST_UNIT = 3  # characters of a unit that is unknown
@@ -93,11 +93,11 @@ class NumberTable:
         same = [one.quantity or one.name for one in readable]
         for heading in headings:
             if DIGITS.fullmatch(heading.text):
-                found = f"the heading of column {heading.column} is {quoted(heading.text)}, not a name"
+                found = f"the heading of column {heading.column} is {short_repr(heading.text)}, not a name"
                 raise InputError(f"{found}; put # before lines that are not headings, or {self.give}")
             if not (optional or alike) and same.count(heading.quantity or heading.name) > 1:
                 raise InputError(
-                    f"two columns are called {quoted(heading.quantity or heading.name)}; remove one of these columns"
+                    f"two columns are called {short_repr(heading.quantity or heading.name)}; remove one of these columns"
                 )
         return headings
 
@@ -106,8 +106,8 @@ class NumberTable:
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
         for mark in dict.fromkeys((self.separator.strip(" ") or ";", *SEPARATORS.values())):
-            for cells in (SPACED.findall(line), re.split(r"\s{2,}", line.strip())) if mark == " " else (_cells(line, mark),):
-                if mark in line and len(_trimmed(cells)) <= self.count <= len(cells):
+            for cells in (SPACED_CELL.findall(line), re.split(r"\s{2,}", line.strip())) if mark == " " else (_cells(line, mark),):
+                if mark in line and len(_trim_cells(cells)) <= self.count <= len(cells):
                     return [cell.strip("\"' ") for cell in cells[: self.count]]
         return []
 
@@ -116,7 +116,7 @@ class NumberTable:
         for number, line in enumerate(self.lines[self.first :], self.first + 1):
             if self.separator != ";" and line.lstrip().startswith(";"):
                 continue  # a comment
-            if cells := _trimmed(_cells(_uncommented(line), self.separator)):
+            if cells := _trim_cells(_cells(_without_comment(line), self.separator)):
                 yield number, cells
 
     def numbers(self, columns: Sequence[int] = (), ragged: bool = False, gaps: bool = False) -> tuple[Array, Sequence[int]]:
@@ -145,7 +145,7 @@ class NumberTable:
                     continue
                 for mark in ".,":
                     if mark in cell and mark not in marked:
-                        marked[mark] = f"line {line} has {quoted(cell)}"
+                        marked[mark] = f"line {line} has {short_repr(cell)}"
                 if "," in cell:
                     thousands = thousands and THOUSANDS.fullmatch(cell) is not None
                 number = _number(cell)
@@ -153,7 +153,7 @@ class NumberTable:
                     both = " and ".join(dict.fromkeys(marked.values()))
                     raise InputError(f"numbers contain both commas and dots: {both}; write numbers without thousands separators")
                 if number is None or not math.isfinite(number):
-                    raise InputError(f"line {line}, column {column + 1}: {quoted(cell)} is not a finite number; {self.give}")
+                    raise InputError(f"line {line}, column {column + 1}: {short_repr(cell)} is not a finite number; {self.give}")
                 values.append(number)
                 integers = integers or (number != 0 and "," not in cell)
             lines.append(line)
@@ -194,8 +194,8 @@ class NumberTable:
         for heading in headings:
             if heading.quantity not in known:
                 signs = [f"{name} (positive: {QUANTITIES[name].positive})".replace(" (positive: )", "") for name in known]
-                called = f"column {heading.column} is called {quoted(heading.text)}"
-                raise InputError(f"{called}, which is not one of {listing(signs)}; {self.give}")
+                called = f"column {heading.column} is called {short_repr(heading.text)}"
+                raise InputError(f"{called}, which is not one of {list_names(signs)}; {self.give}")
         numbers = self.numbers()[0] * [heading.scale(heading.quantity) for heading in headings]
         return {heading.quantity: column for heading, column in zip(headings, numbers.T, strict=True)}
 
@@ -222,11 +222,11 @@ def table_text(path: Path) -> str:
         tables = [name for name, rows in sheets.items() if sum(_has_numbers(row) for row in rows) > 1]
         if len(tables) > 1:
             raise InputError(
-                f"has tables in the sheets {listing(tables)}, but only one is read; delete the others, or save one as .csv"
+                f"has tables in the sheets {list_names(tables)}, but only one is read; delete the others, or save one as .csv"
             )
-        return _tabbed(sheets[(tables or [*sheets])[0]])
+        return _tab_text(sheets[(tables or [*sheets])[0]])
     if suffix == ".mat":
-        return _tabbed(_matlab_rows(path.read_bytes()))
+        return _tab_text(_matlab_rows(path.read_bytes()))
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -239,7 +239,7 @@ def _has_numbers(row: Sequence[Any]) -> bool:
     return sum(isinstance(cell, (int, float)) for cell in row) > 1
 
 
-def _tabbed(rows: Iterable[Sequence[Any]]) -> str:
+def _tab_text(rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join("\t".join(" ".join(str(cell).split()) for cell in row) for row in rows)
 
 
@@ -303,9 +303,9 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
     """Returns the separator of a line, by default the detected one, and the cells without comments."""
-    numbers = _uncommented(line)
+    numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
-    splits = {mark: _trimmed(_cells(numbers, mark)) for mark in marks}
+    splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}
     whole = [mark for mark in marks if None not in map(_number, splits[mark])]
     return (mark := (whole or marks)[0]), splits[mark]
 
@@ -323,7 +323,7 @@ def _maybe_unit(heading: Heading) -> bool:
     return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 
-def _uncommented(line: str) -> str:
+def _without_comment(line: str) -> str:
     return "" if COMMENT.match(line) else line.partition("#")[0]
 
 
@@ -334,7 +334,7 @@ def _cells(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
 
 
-def _trimmed(cells: list[str]) -> list[str]:
+def _trim_cells(cells: list[str]) -> list[str]:
     """Returns cells without empty ones at the end, which spreadsheets leave."""
     while cells and not cells[-1]:
         cells = cells[:-1]

@@ -9,7 +9,7 @@ from operator import getitem
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.files import parse_toml
 
 
@@ -46,16 +46,16 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
         table.update(replacement.values)
     cause: Exception | None = None
     try:
-        changed = _changed(text, replacements)
+        changed = _replace_texts(text, replacements)
         if _normal(parse_toml(changed)) == _normal(expected):
             return changed
     except Exception as error:  # a text that tomlkit reads or writes wrongly
         cause = error
-    names = listing(".".join(replacement.path) for replacement in replacements)
+    names = list_names(".".join(replacement.path) for replacement in replacements)
     raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause
 
 
-def _changed(text: str, replacements: Sequence[Replacement]) -> str:
+def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
     import tomlkit
     from tomlkit.items import Comment, Float, SingleKey, Trivia
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from fractions import Fraction  # so that 35 mm are 0.035 m, without rounding between
 from typing import Any
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 
 LENGTH = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 TIME = {"s": 1.0, "ms": 1e-3}
@@ -42,7 +42,7 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
 PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}  # signs: micro, mu
-PREFIXED = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")  # no gram: g is the acceleration
+PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")  # no gram: g is the acceleration
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
@@ -67,7 +67,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
         InputError: the text is not a number with a unit, or the unit is unknown or of another dimension.
     """
     match, pure = QUANTITY.fullmatch(text), unit in ("", "-", "1")
-    said = f"{what} = {quoted(text)}" if what else quoted(text)
+    said = f"{what} = {short_repr(text)}" if what else short_repr(text)
     if COMMA.match(text):
         raise InputError(f"{said} has a decimal comma; write a decimal point, as in {_example(unit)}")
     if match is None:
@@ -79,7 +79,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
         force = POUND.sub("lbf", written)  # a pound is a mass
         example = number if pure else f'"{number} {force}"' if unit_size(force, unit) else _example(unit)
         unknown = "unknown " * (size is None)
-        raise InputError(f"{said} has the {unknown}unit {quoted(written)}, but {expected}, as in {example}")
+        raise InputError(f"{said} has the {unknown}unit {short_repr(written)}, but {expected}, as in {example}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
@@ -101,7 +101,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
     number = quantity(value, unit, what)
     if match and not match[2]:
         add = "" if unit in ("", "-", "1") else f"add the unit, as in {_example(unit)}, or "
-        raise InputError(f"{what} = {quoted(value)} has no unit; {add}omit the quotes")
+        raise InputError(f"{what} = {short_repr(value)} has no unit; {add}omit the quotes")
     return number
 
 
@@ -148,7 +148,7 @@ def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
         for known in (name, usual):
             if known in sizes:
                 return Fraction(repr(sizes[known])), powers
-    if name[1:] in PREFIXED and name[0] in PREFIXES:
+    if name[1:] in PREFIXED_UNITS and name[0] in PREFIXES:
         size = _size(name[1:])
         return size and (size[0] * Fraction(repr(PREFIXES[name[0]])), size[1])
     return _size(usual) if usual != name.lower() else None

@@ -245,7 +245,7 @@ def legend(figure: Figure) -> list[Entry]:
     return list(entries.values())
 
 
-def margined(values: Sequence[Array]) -> tuple[float, float]:
+def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
     """Returns the ends of an axis that contains all numbers, with a margin."""
     joined = np.concatenate([*values, np.zeros(0)])
     joined = joined[np.isfinite(joined)]
@@ -258,7 +258,7 @@ def margined(values: Sequence[Array]) -> tuple[float, float]:
     return low - room, high + room
 
 
-def thinned(y: Array, every: int) -> Array:
+def drawn_indices(y: Array, every: int) -> Array:
     """Returns the indices of the points of a line to draw: of every 2 `every` points the largest and the smallest, and both ends.
 
     So no peak is cut, however short it is.

@@ -19,7 +19,7 @@ ENDINGS = {  # allowed suffixes, and the reason
 }
 CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
 CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
-SAVED = (CHECKED_BY, CAMPAIGN_SUM)  # comments of which every saved vehicle file has one
+SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM)  # comments of which every saved vehicle file has one
 TEXTS = ("csv", "save")  # these may be printed
 OF_FIGURES = (*SUFFIXES, ".csv")
 
@@ -78,10 +78,10 @@ def _is_own(path: Path) -> bool:
     if not path.is_file() or not path.stat().st_size:
         return True
     with path.open("rb") as lines:
-        return any(mark.encode() in line for line in lines for mark in SAVED)
+        return any(mark.encode() in line for line in lines for mark in SAVED_COMMENTS)
 
 
-def written(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
+def output_paths(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
     """Returns the paths of the outputs for JSON."""
     return {name: str(path) if path is not None else None for name, path in outputs.items()}
 

@@ -143,15 +143,15 @@ def _environment(number: Callable[[str], str]) -> Any:
     import jinja2
 
     loader = jinja2.FunctionLoader(_resource)
-    options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined, "finalize": _said}
+    options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": jinja2.StrictUndefined, "finalize": _escaped_value}
     environment = jinja2.Environment(autoescape=True, loader=loader, **options)
-    functions = {"kind": _kind, "leading": _leading, "layout": _layout, "notation": notation, "legend": legend}
+    functions = {"kind": _kind, "leading": _split_statements, "layout": _layout, "notation": notation, "legend": legend}
     functions |= {"short_form": short_form, "whole_form": whole_form}
     environment.globals.update(functions, number=number, key_svg=key_svg, panel_svg=panel_svg)
     return environment
 
 
-def _said(value: Any) -> Any:
+def _escaped_value(value: Any) -> Any:
     """Returns a value as the page shows it: text escaped, markup unchanged."""
     from markupsafe import Markup
 
@@ -163,7 +163,7 @@ def _kind(block: Block) -> str:
     return type(block).__name__.lower()
 
 
-def _leading(section: Document) -> tuple[list[Statement], list[Statement]]:
+def _split_statements(section: Document) -> tuple[list[Statement], list[Statement]]:
     """Returns the statements of a section that are shown, and those that are folded."""
     texts = [block for block in section.blocks if isinstance(block, Statement)]
     shown = [

@@ -21,7 +21,7 @@ from models.common.errors import InputError, middle_cut
 from models.common.files import whole_file
 from models.document.description import about
 from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, Spans, legend
-from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrapped
+from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrap_at_spaces
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
 SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
@@ -181,8 +181,8 @@ def _whole(figure: Figure) -> _Sheet:
 
 def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
     """Returns the lines of paragraphs with their weights: the first is bold."""
-    bold = [(line, "bold") for line in wrapped(notation(first), room / BOLD, FONT)]
-    return bold + [(line, "normal") for text in others for line in wrapped(notation(text), room, FONT)]
+    bold = [(line, "bold") for line in wrap_at_spaces(notation(first), room / BOLD, FONT)]
+    return bold + [(line, "normal") for text in others for line in wrap_at_spaces(notation(text), room, FONT)]
 
 
 def _key(entry: Entry, x: Array, height: float) -> Any:

@@ -20,7 +20,7 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
 UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # a number stays on a line with its unit
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
-SQUARED = re.compile(r"\b(m|rad)/s2\b")
+SQUARED_SECONDS = re.compile(r"\b(m|rad)/s2\b")
 LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
 DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as these
@@ -54,7 +54,7 @@ class Reading:
 def notation(text: str) -> str:
     """Returns a text in the notation of a page: 1.4·10⁻³, m/s², ±."""
     text = UNIT.sub("\N{NO-BREAK SPACE}", POWER.sub(_power, text))
-    return SQUARED.sub(r"\1/s²", text).replace("+-", "±").replace(" <= ", " ≤ ").replace(" >= ", " ≥ ")
+    return SQUARED_SECONDS.sub(r"\1/s²", text).replace("+-", "±").replace(" <= ", " ≤ ").replace(" >= ", " ≥ ")
 
 
 def _power(one: re.Match[str]) -> str:
@@ -73,7 +73,7 @@ def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
         csv.writer(file).writerows(rows)
 
 
-def pivoted(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
+def pivot_table(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
     """Returns headings and rows of a table's short form, and the number of columns that name a row."""
     at = {heading: i for i, heading in enumerate(headings)}
     names = [heading for heading in pivot.rows if heading != "unit"]
@@ -104,7 +104,7 @@ def whole_form(table: Table) -> Reading | None:
 def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, pivot: Pivot | None = None) -> Reading:
     """Returns a table as it is read: without constant columns, with aligned numbers and repeated remarks as footnotes."""
     if pivot is not None and rows:
-        headings, rows, words = pivoted(headings, rows, pivot)
+        headings, rows, words = pivot_table(headings, rows, pivot)
     columns = [list(column) for column in zip(*rows, strict=True)]
     constant = [i for i in range(1, len(columns)) if len(rows) > 2 and len(set(columns[i])) == 1 and columns[i][0] != ""]
     if pivot is not None or len(constant) == len(columns) - 1:
@@ -112,7 +112,10 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
     same = tuple(f"{headings[i]}: {notation(columns[i][0])}" for i in constant if columns[i][0] != "-")
     marks, notes = (ascii_lowercase[k] if k < len(ascii_lowercase) else str(k) for k in count()), dict[str, str]()
     kept = [i for i in range(len(columns)) if i not in constant]
-    cells = [aligned(columns[i]) if pivot is not None else _noted(aligned(columns[i]), marks, notes) for i in kept[1:]]
+    cells = [
+        align_numbers(columns[i]) if pivot is not None else _with_footnotes(align_numbers(columns[i]), marks, notes)
+        for i in kept[1:]
+    ]
     shown = [columns[0], *([notation(cell) for cell in column] for column in cells)] if kept else []
     return Reading(
         tuple(notation(headings[i]) for i in kept) if rows else tuple(headings),
@@ -124,7 +127,7 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
     )
 
 
-def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
+def _with_footnotes(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
     """Returns a column with footnote marks instead of long remarks that occur in several rows."""
     often = Counter(column)
     iterator = iter(marks)
@@ -137,7 +140,7 @@ def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -
     return cells
 
 
-def aligned(column: Sequence[str]) -> list[str]:
+def align_numbers(column: Sequence[str]) -> list[str]:
     """Returns numbers with their points below each other, by figure spaces. A column with an other word than - is unchanged."""
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
@@ -206,7 +209,7 @@ def cut(text: str, room: float, size: float) -> str:
     return f"{text}…"
 
 
-def wrapped(text: str, room: float, size: float) -> list[str]:
+def wrap_at_spaces(text: str, room: float, size: float) -> list[str]:
     """Breaks a text at spaces into lines of at most the width `room`, and cuts longer words."""
     lines = list[str]()
     for part in text.splitlines():

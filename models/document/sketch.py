@@ -206,12 +206,12 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
     """Returns a text around x; in symbols the part after _ is a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
-        text = SYMBOL.sub(_subscripted, text)
+        text = SYMBOL.sub(_subscript, text)
     else:
         text = drawn_text(text)
     return f'<text x="{x:.4g}" y="{y:.4g}" text-anchor="middle" fill="currentColor" stroke="none">{text}</text>' if text else ""
 
 
-def _subscripted(one: re.Match[str]) -> str:
+def _subscript(one: re.Match[str]) -> str:
     low = f'<tspan dy="3" font-size="72%">{GREEK.get(one[2], one[2])}</tspan><tspan dy="-3">\u200b</tspan>' if one[2] else ""
     return f'<tspan font-style="italic">{one[1]}</tspan>{low}'

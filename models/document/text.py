@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fitted, table, wrapped
+from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fit_lines, table, wrap_text
 from models.document.document import NOTE, Block, Detail, Document, Statement, Table, is_shown, notes
 
 HANG = 6  # spaces before a remark below its row
@@ -19,10 +19,10 @@ BEST = "*"  # after a number
 
 def names_text(names: Iterable[str]) -> str:
     """Returns names of controllers in a sentence: `a`, `b` and `c`."""
-    return joined([as_name(name) for name in names])
+    return join_words([as_name(name) for name in names])
 
 
-def joined(words: list[str]) -> str:
+def join_words(words: list[str]) -> str:
     """Returns words in a sentence: a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
@@ -38,7 +38,7 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
         if not is_shown(block, detail):
             continue
         if isinstance(block, Statement):
-            lines += [*([""] if isinstance(before, Document) else []), *wrapped(block.text.replace("`", ""), indent)]
+            lines += [*([""] if isinstance(before, Document) else []), *wrap_text(block.text.replace("`", ""), indent)]
         elif isinstance(block, Table):
             lines += [*([""] if isinstance(before, Statement) and not document.title else []), *table_lines(block, indent)]
         elif isinstance(block, Document):
@@ -56,7 +56,7 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
     if verbose:
         return text_lines(document, "full")
     lines = text_lines(document)
-    return lines if len(fitted([*others, *lines])) <= LINES else text_lines(document, "brief")
+    return lines if len(fit_lines([*others, *lines])) <= LINES else text_lines(document, "brief")
 
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
@@ -73,7 +73,7 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
     above = columns.pop(0)[1:] if several else ("",) * len(one.rows)
     words = one.words - several
     columns[0] = tuple(f"{GAP * several}{cell}" for cell in columns[0])
-    columns = [*columns[:words], *map(_aligned, columns[words:])]
+    columns = [*columns[:words], *map(_align_column, columns[words:])]
     shown, widths = columns, list[int]()
     gap = GAP if len(one.rows) < LONG else " "
     for short, most in itertools.product((CHANGE.strip(), "%"), range(1, HEADING + 1)):
@@ -92,11 +92,11 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
         rests, lines = lines[-len(remarks) :], lines[: -len(remarks)]
         for line, remark in zip(rests, remarks, strict=True):
             beside = f"{line}{GAP}{remark}".rstrip()
-            lines += [beside] if len(beside) <= WIDTH else [line, *wrapped(remark, " " * HANG)]
+            lines += [beside] if len(beside) <= WIDTH else [line, *wrap_text(remark, " " * HANG)]
     return lines
 
 
-def _aligned(column: Sequence[str]) -> list[str]:
+def _align_column(column: Sequence[str]) -> list[str]:
     """Returns a column of numbers that are aligned although some have a mark of the best."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
@@ -124,21 +124,21 @@ def markdown(document: Document, level: int = 2) -> str:
     return "\n\n".join(parts)
 
 
-class Shown:
+class ShownResult:
     """Result that a prompt shows as text and a notebook as HTML, both from its document. A dataclass must set `repr=False`."""
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """The result as a document."""
         raise NotImplementedError
 
     @property
-    def drawn(self) -> tuple[Block, ...]:
+    def figures(self) -> tuple[Block, ...]:
         """Figures and tables that a notebook shows below the document."""
         return ()
 
     def __repr__(self) -> str:
-        return "\n".join(text_lines(self.shown))
+        return "\n".join(text_lines(self.summary))
 
     def _repr_html_(self) -> str | None:
         page = FEATURES.load("pages")
@@ -146,8 +146,8 @@ class Shown:
             page.check_page()
         except InputError:  # a notebook shows the text
             return None
-        document = self.shown
-        return page.fragment(replace(document, blocks=(*document.blocks, *self.drawn)))
+        document = self.summary
+        return page.fragment(replace(document, blocks=(*document.blocks, *self.figures)))
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.kind import SEATED, BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
+from models.kinds.kind import SEAT_POINTS, BodyLoad, Parameter, Parameters, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import RigidBody
 from models.kinds.signals import Signal
@@ -103,7 +103,7 @@ class Car:
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
         """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
-        return links.carried(p, self.corners, way, force, acceleration)
+        return links.carried_loads(p, self.corners, way, force, acceleration)
 
     def angles(self, p: Parameters) -> dict[str, dict[str, float]]:
         """Returns the body's angles [rad] as sums of signals."""
@@ -148,5 +148,5 @@ class Car:
             carried=self.carried,
             angles=self.angles,
             motion=self.motion,
-            lacking={**SEATED, **(lacking or {})},
+            lacking={**SEAT_POINTS, **(lacking or {})},
         )

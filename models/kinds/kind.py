@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, is_finite
+from models.common.checks import AT_LEAST_ONE, CheckedFields, Must, Name, Positive, is_finite
 from models.common.errors import InputError, alike
 from models.common.schema import LARGEST, SI, SMALLEST
 from models.kinds.linear_model import LinearModel
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Variation(Checked):
+class Variation(CheckedFields):
     """Range of a parameter over vehicles of a kind, relative to the one that a controller was designed for.
 
     Attributes:
@@ -58,7 +58,7 @@ class Variation(Checked):
 
 
 @dataclass(frozen=True)
-class Parameter(Checked):
+class Parameter(CheckedFields):
     """Number of a vehicle file.
 
     Attributes:
@@ -120,10 +120,10 @@ MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
 MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
-SEATED = {
+SEAT_POINTS = {
     "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
 }  # of built-in kinds, `lacking`
-UNMOVED = 1e-12  # of the largest acceleration by a force: less is rounding
+NEGLIGIBLE_ACCELERATION = 1e-12  # of the largest acceleration by a force: less is rounding
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
@@ -141,7 +141,7 @@ def nothing(*_: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Wheel(Checked):
+class Wheel(CheckedFields):
     """Point where a road acts on the vehicle.
 
     Attributes:
@@ -178,7 +178,7 @@ class DampedTyre:
 
 
 @dataclass(frozen=True)
-class Suspension(Checked):
+class Suspension(CheckedFields):
     """Suspension of the body on a wheel.
 
     Attributes:
@@ -220,7 +220,7 @@ class Suspension(Checked):
 
 
 @dataclass(frozen=True)
-class BodyLoad(Checked):
+class BodyLoad(CheckedFields):
     """Direction in which an external load acts on the body.
 
     Attributes:
@@ -233,7 +233,7 @@ class BodyLoad(Checked):
 
 
 @dataclass(frozen=True)
-class Invariant(Checked):
+class Invariant(CheckedFields):
     """Transmissibility, from the road's displacement under every wheel, that no suspension force can change.
 
     Attributes:
@@ -275,7 +275,7 @@ class RidePoints:
 
 
 @dataclass(frozen=True)
-class VehicleKind(Checked):
+class VehicleKind(CheckedFields):
     """Equations of a vehicle type. Every function takes the parameters as a mapping from name to SI value.
 
     Attributes:
@@ -350,7 +350,7 @@ class VehicleKind(Checked):
             return super().__reduce_ex__(protocol)
         import cloudpickle  # no module has the functions of a user's own kind
 
-        return _written, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
+        return _from_pickle, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "VehicleKind":
         return self  # it is frozen
@@ -382,7 +382,7 @@ class VehicleKind(Checked):
         velocities = (part.velocity for part in self.suspensions)
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
-    def carrying(self, parameters: Parameters) -> "VehicleKind":
+    def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
         """Returns the kind with loads on the wheels, if vehicles of these parameters have some."""
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
@@ -430,7 +430,7 @@ class VehicleKind(Checked):
                 continue
             if part.deflection not in loads:
                 raise InputError(f"{part.ratio} changes with travel, but static_loads has no {part.deflection}; add its load")
-            rate = -self.ratios[part.ratio].turn * loads[part.deflection]
+            rate = -self.ratios[part.ratio].relative_slope * loads[part.deflection]
             if not np.isclose(rates.setdefault(part.stiffness, rate), rate, rtol=1e-9, atol=0):
                 raise InputError(
                     f"springs of {part.stiffness} carry different loads, so {part.ratio} over travel gives them different "
@@ -518,7 +518,7 @@ class VehicleKind(Checked):
                 tyres[wheel.tyre_deflection] = DampedTyre(f"{UNSPRUNG_VELOCITY.name}{ending}", wheel.road_velocity, c / k)
         return tyres
 
-    def pushed(self, force: str) -> str:
+    def deflection_of(self, force: str) -> str:
         """Returns the suspension deflection along which a force acts; empty if it does not belong to a suspension."""
         return next((part.deflection for part in self.suspensions if part.force == force), "")
 
@@ -589,7 +589,7 @@ class VehicleKind(Checked):
         tyres = [model.outputs.index(wheel.tyre_deflection) for wheel in self.wheels]
         on_wheels = np.any(np.abs(model.C[tyres] @ model.A @ model.B) > 0, axis=0)
         gains = np.abs(model.D[[model.outputs.index(name) for name in names]][:, on_wheels]).max(axis=1, initial=0.0)
-        above = gains <= UNMOVED * gains.max(initial=0.0) if gains.any() else np.zeros(len(names), dtype=bool)
+        above = gains <= NEGLIGIBLE_ACCELERATION * gains.max(initial=0.0) if gains.any() else np.zeros(len(names), dtype=bool)
         people = self.people if self.people is not None else tuple(np.array(names)[above].tolist())
         return RidePoints(people, tuple(name for name in names if name not in people), self.people is not None)
 
@@ -598,6 +598,6 @@ class VehicleKind(Checked):
         return next(signal for signal in self.signals if signal.name == name)
 
 
-def _written(content: bytes) -> VehicleKind:
+def _from_pickle(content: bytes) -> VehicleKind:
     """Returns a kind of a user's own from its pickled fields."""
     return VehicleKind(**pickle.loads(content))

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Positive, check_fields, check_shape
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class LinearModel:
         for what in ("states", "inputs", "disturbances", "outputs", "loads"):
             names = getattr(self, what)
             if len(set(names)) < len(names):
-                raise InputError(f"{what} = {quoted(names)} contains a name twice; give different names")
+                raise InputError(f"{what} = {short_repr(names)} contains a name twice; give different names")
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
         pushes = len(self.loads)
         if not pushes:
@@ -273,6 +273,6 @@ class LinearModel:
         """
         for signal in signals:
             if signal not in self.outputs:
-                raise InputError(f"unknown signal {signal!r}; this vehicle has the signals {listing(self.outputs)}")
+                raise InputError(f"unknown signal {signal!r}; this vehicle has the signals {list_names(self.outputs)}")
         index = [self.outputs.index(signal) for signal in signals]
         return self.C[index], self.D[index]

@@ -84,7 +84,7 @@ def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
     return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
 
 
-def carried(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
+def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
     """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m].
 
     Args:
@@ -118,7 +118,7 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
 
 
 def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads of `carried` on two wheels in a cross-section, whose links carry the whole force."""
+    """Returns the loads of `carried_loads` on two wheels in a cross-section, whose links carry the whole force."""
     moment = force * p.get(ROLL_CENTRE.name, 0.0)
     own = sum(p[f"unsprung_mass_{side}"] for side in SIDES) * acceleration * p.get(WHEEL_CENTRE.name, 0.0)
     gained = (moment + own) / track("", p)

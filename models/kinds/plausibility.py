@@ -11,7 +11,7 @@ from typing import NamedTuple
 from models.common.printed import about, entry
 
 
-class Known(NamedTuple):
+class KnownQuantity(NamedTuple):
     """Quantity of a vehicle or a road, as a remark shows it: its name, value and unit."""
 
     name: str
@@ -88,7 +88,7 @@ RULES = (
 )  # fmt: skip
 
 
-def remarks(places: Iterable[Mapping[str, Known]]) -> list[str]:
+def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
     """Returns a remark for each rule that holds at a place: that of the first such place.
 
     Args:

@@ -396,7 +396,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
         spec.site(f"suspension_{corner.name}_top").pos[:2] = [corner.x, corner.y]
 
         name = f"suspension_{corner.name}"
-        suspension = _guided(spec, body, corner, name) if body.has_axis else spec.tendon(name)
+        suspension = _tendon_name(spec, body, corner, name) if body.has_axis else spec.tendon(name)
         length = 0.0 if body.has_axis else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
         write_strut(spec, suspension, corner.suspension_stiffness, corner.suspension_damping, load, length)
         rest = unsprung.pos[2] - road.pos[2] + squeeze
@@ -411,7 +411,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
                     torsion.wrap_joint(f"unsprung_{corner.name}", -arm)
 
 
-def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
+def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
     """Returns the tendon whose length is the deflection of a guided wheel, instead of a strut of that name."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)

@@ -62,7 +62,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     """
     if kind.folder != HERE:
         raise InputError(f"[seat] is for built-in vehicle types; give {kind.name}.py a mass above the body, or omit the section")
-    seat, type_with_seat = read("[seat]", Seat, section), seated(kind)
+    seat, type_with_seat = read("[seat]", Seat, section), seated_kind(kind)
     known = {one.name for one in type_with_seat.parameters}
     for key, (_, words) in TURNS.items():
         if getattr(seat, key) and f"seat_{key}" not in known:
@@ -74,7 +74,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
     return type_with_seat, {**parameters, **own}
 
 
-def seated(kind: VehicleKind) -> VehicleKind:
+def seated_kind(kind: VehicleKind) -> VehicleKind:
     """Returns a built-in vehicle type with a seat. Its parameters begin with `seat_`, and its ride is that of the person."""
     known = {one.name for one in kind.parameters}
     parameters = [

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from models.common.checks import Checked
+from models.common.checks import CheckedFields
 
 
 @dataclass(frozen=True)
-class Signal(Checked):
+class Signal(CheckedFields):
     """Named quantity, measured from static equilibrium.
 
     Attributes:
@@ -80,7 +80,7 @@ def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
 
 
 OWN = "own"  # unit of a controller's state, whose meaning only its law knows
-KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
+STATE_PREFIX = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
 
 
 def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
@@ -99,9 +99,9 @@ def load_signal(name: str) -> Signal:
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
     """Returns one signal for each state of a controller."""
     about = "state of the controller at its last sample, in the controller's own coordinates"
-    return tuple(Signal(f"{KEPT}{name}", f"x_c {name}", OWN, about) for name in names)
+    return tuple(Signal(f"{STATE_PREFIX}{name}", f"x_c {name}", OWN, about) for name in names)
 
 
 def is_kept(signal: Signal) -> bool:
     """Returns True if a signal is a controller's state."""
-    return signal.name.startswith(KEPT)
+    return signal.name.startswith(STATE_PREFIX)

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from models.common.checks import NotNegative, Positive, check
-from models.common.errors import InputError, error_in, first_few, listing
+from models.common.errors import InputError, error_in, first_few, list_names
 from models.common.files import read_text
 from models.kinds.kind import VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD
-from models.laws.user_code import compiled, run_own
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, STATE_PREFIX
+from models.laws.user_code import compile_file, run_own
 
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 ROAD = ("road_displacement", "road_velocity", "tyre_deflection")  # signals of a wheel
@@ -35,10 +35,10 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
     module.__dict__.update(__file__=str(path), print=print_to_stderr)
-    code = compiled(what, path, read_text(path, "vehicle type", GIVE))
+    code = compile_file(what, path, read_text(path, "vehicle type", GIVE))
     run_own(what, path, "the file", lambda: exec(code, vars(module)))
     kind = vars(module).get("KIND")
-    with _located(path):
+    with _locate_errors(path):
         if not isinstance(kind, VehicleKind):
             has = f"KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "the file defines no KIND"
             raise InputError(f"{has}; end the file with KIND = VehicleKind(...), as in docs/how-to/custom-vehicle-type.md")
@@ -70,8 +70,8 @@ def check_parts(kind: VehicleKind) -> None:
     names |= {f"{part} of a suspension": [getattr(one, part) for one in suspended] for part in ("deflection", "tendon")}
     for what, given in names.items():
         for name in given:
-            if not name.isidentifier() or name.startswith(KEPT):
-                rule = f"use letters, digits and '_', without a digit first or {KEPT} at the beginning"
+            if not name.isidentifier() or name.startswith(STATE_PREFIX):
+                rule = f"use letters, digits and '_', without a digit first or {STATE_PREFIX} at the beginning"
                 raise InputError(f"{what}: {name!r} is not allowed; {rule}")
             if given.count(name) > 1:
                 raise InputError(f"{what}: the name {name!r} is used twice; use each name once")
@@ -89,7 +89,7 @@ def check_parts(kind: VehicleKind) -> None:
         *((f"a signal of the invariant {one.name!r}", name, signals) for one in kind.invariants for name in one.signals),
     ):
         if name not in known:
-            raise InputError(f"{what} is {name!r}, which is unknown; give one of {listing(known)}")
+            raise InputError(f"{what} is {name!r}, which is unknown; give one of {list_names(known)}")
     ratios: dict[str, str] = {}
     for part in kind.suspensions:
         for name in filter(None, (part.stiffness, part.damping)):
@@ -108,18 +108,20 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
     numbers += [("lateral of a wheel", wheel.lateral(parameters), float) for wheel in kind.wheels]
     for one in kind.invariants:
         numbers += [(f"{part} of {one.name!r}", getattr(one, part)(parameters), Positive) for part in ("omega", "magnitude")]
-    with _located(kind.mjcf.with_suffix(".py")):
+    with _locate_errors(kind.mjcf.with_suffix(".py")):
         for name, value, annotation in numbers:
             check(name, value, annotation)
         _check_model(check("linear_model(parameters)", model, LinearModel), kind)
         tyres = [wheel.tyre_deflection for wheel in kind.wheels]
         if check("static_tyre_deflection(parameters)", rest, Mapping[str, Positive]).keys() != set(tyres):
-            raise InputError(f"static_tyre_deflection returns {listing(rest)}; return one number for each of {listing(tyres)}")
+            raise InputError(
+                f"static_tyre_deflection returns {list_names(rest)}; return one number for each of {list_names(tyres)}"
+            )
         signals = {signal.name for signal in kind.signals}
         for angle, parts in check("angles(parameters)", angles, Mapping[str, Mapping[str, float]]).items():
             if angle not in ("pitch_angle", "roll_angle") or not signals.issuperset(parts):
                 raise InputError(
-                    f"angles returns {angle!r} as a sum of {listing(parts)}, which is not allowed; return "
+                    f"angles returns {angle!r} as a sum of {list_names(parts)}, which is not allowed; return "
                     "{'pitch_angle': {signal: factor}}, or 'roll_angle', with signals of the vehicle type"
                 )
 
@@ -187,7 +189,7 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 
 
 @contextmanager
-def _located(path: Path) -> Iterator[None]:
+def _locate_errors(path: Path) -> Iterator[None]:
     """Adds the file's name to an InputError."""
     with error_in(f"vehicle type {path}:"):
         yield

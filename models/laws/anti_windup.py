@@ -40,7 +40,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
         )
     circle = float(np.exp(-law.anti_windup * law.sample_period))
     try:
-        gain = _mirroring(law.A, law.C, circle)
+        gain = _mirroring_gain(law.A, law.C, circle)
         if np.abs(np.linalg.eigvals(law.A - gain @ law.C)).max() <= circle + SLACK:
             return gain
     except (np.linalg.LinAlgError, ValueError):
@@ -51,7 +51,7 @@ def anti_windup_gain(law: LinearLaw) -> Array:
     )
 
 
-def _mirroring(A: Array, C: Array, circle: float) -> Array:
+def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
     """Returns the L with which A - L C has the poles of A, but for those beyond a circle, which are mirrored at it.
 
     One pole or pair is mirrored after another: all at once, next to each other, they leave no digits. Corrections so far make

@@ -1,14 +1,14 @@
 """The table of compatible options in a controller's section, and of the commands that accept them.
 
-Two parts of a section, or a part and a command, go together unless `REFUSED` has a reason why not. Every message of a refused
-combination is made of this table, and so is the table of the site.
+Two parts of a section, or a part and a command, go together unless `REFUSED_PAIRS` has a reason why not. Every message of a
+refused combination is made of this table, and so is the table of the site.
 """
 
 from collections.abc import Collection, Mapping
 from itertools import combinations
 from typing import Any
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.laws.design_methods import DESIGNS, FULL, GOALS, OF_STATE, PATTERNS, STATIC
 from models.laws.design_request import is_order
 from models.laws.linear import MATRICES
@@ -47,9 +47,9 @@ FLAGS = ("stable", "noise", "lag", "sampled", "study")
 _OF_STATE = "this design uses the full state, not the signals of sensors"
 _OTHERS = " ".join(DESIGNS)
 _STATES = " ".join(OF_STATE)
-_DESIGNED = f"full order pid {_OTHERS}"
+_DESIGNED_LAWS = f"full order pid {_OTHERS}"
 _GOALS = "goals tolerance family"
-_STUDIED = f"steps {_DESIGNED} semi_active"
+_STUDIED_LAWS = f"steps {_DESIGNED_LAWS} semi_active"
 _NO_CLAIM = "such a law is used unchanged, and linear analysis does not apply to it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
@@ -73,34 +73,41 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("sampled", f"loads {_GOALS}", "a design for the sampled loop minimises the norm from road and noise alone"),
     (
         "study",
-        f"{_STUDIED} {_GOALS} weights refine front",
+        f"{_STUDIED_LAWS} {_GOALS} weights refine front",
         "only a given law may measure heights, because no sensor on a car measures them",
     ),
     ("loads", _OTHERS, "this design is for the response to the road alone"),
     ("loads", _GOALS, "goals describe the response to the road alone"),
-    *((goals, f"states {_DESIGNED}", "goals are available only for static gains in continuous time") for goals in _GOALS.split()),
+    *(
+        (goals, f"states {_DESIGNED_LAWS}", "goals are available only for static gains in continuous time")
+        for goals in _GOALS.split()
+    ),
     ("force", "pid", "each force of this law uses one measured signal"),
     ("force", "steps", "a measured force contains no information about the state"),
     ("force", _STATES, _OF_STATE),
     ("force", "semi_active", "a semi-active law selects its own measured signals"),
-    ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "only static gains of the smallest norm can be refined"),
-    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "only the two-step design has a matrix L"),
-    ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front consists of designed static gains"),
+    ("refine", f"states {_DESIGNED_LAWS} stable anti_windup {_GOALS}", "only static gains of the smallest norm can be refined"),
+    (
+        "zero_l",
+        f"gain states {_DESIGNED_LAWS} stable anti_windup noise sampled {_GOALS}",
+        "only the two-step design has a matrix L",
+    ),
+    ("front", f"states {_DESIGNED_LAWS} stable anti_windup sampled", "a front consists of designed static gains"),
     ("front", "tolerance weights family", "a front describes one vehicle without uncertainties"),
     (
         "rates",
-        f"gain states {_DESIGNED} stable anti_windup noise",
+        f"gain states {_DESIGNED_LAWS} stable anti_windup noise",
         "only two-step gains can be designed again for a sample rate",
     ),
     *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one not in ("force", "study")),
 )
-REFUSED = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
+REFUSED_PAIRS = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
 ONE_KIND = "a controller has either one given law or one design method"
 
 
 def refusal(one: str, other: str) -> str:
     """Returns the reason why two parts, or a part and a command, do not go together; empty if they do."""
-    return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED.get(frozenset((one, other)), "")
+    return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED_PAIRS.get(frozenset((one, other)), "")
 
 
 def goes(what: str, parts: Collection[str]) -> bool:
@@ -136,7 +143,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     parts |= {WEIGHTS: "a weight in tolerance"} if any(errors) else {}
     measured = section.get("measured")
     if isinstance(measured, list) and "lag" not in parts and (forces := [name for name in measured if name in inputs]):
-        parts["force"] = f"measured = {quoted(forces[0])}"
+        parts["force"] = f"measured = {short_repr(forces[0])}"
     return parts
 
 

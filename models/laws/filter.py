@@ -26,8 +26,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.checks import is_finite
-from models.common.errors import InputError, error_in, quoted
-from models.common.schema import HERE, SI, Choice, Listed, Section
+from models.common.errors import InputError, error_in, short_repr
+from models.common.schema import HERE, SI, Choice, ListedValues, Section
 from models.laws.linear import LinearLaw
 
 F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
@@ -148,7 +148,7 @@ class Filter:
         return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
 
 
-POLYNOMIAL = Listed(
+POLYNOMIAL = ListedValues(
     "coefficients of a filter in descending powers of s", SI("", "", -LARGEST, LARGEST), ", in descending powers of s"
 )
 
@@ -188,7 +188,9 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
     """Returns the coefficients without leading zeros."""
     for one in given:
         if not is_finite(one) or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
-            raise InputError(f"{what} has the coefficient {quoted(one)}; give 0 or a magnitude from {SMALLEST:g} to {LARGEST:g}")
+            raise InputError(
+                f"{what} has the coefficient {short_repr(one)}; give 0 or a magnitude from {SMALLEST:g} to {LARGEST:g}"
+            )
     coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
     if not coefficients:
         raise InputError(f"{what} is 0; give its coefficients in descending powers of s")

@@ -13,8 +13,22 @@ from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, alike, listing, quoted
-from models.common.schema import HERE, NUMBER, PAIR, SI, TEXT, BySignal, Choice, Listed, ReadBy, Section, Subsection, Text, read
+from models.common.errors import InputError, alike, list_names, short_repr
+from models.common.schema import (
+    HERE,
+    NUMBER,
+    PAIR,
+    SI,
+    TEXT,
+    BySignal,
+    Choice,
+    ListedValues,
+    ReadBy,
+    Section,
+    Subsection,
+    Text,
+    read,
+)
 from models.common.units import in_unit
 from models.laws.design_methods import PATTERNS, PI, PID
 from models.laws.filter import Filter, FilterSection
@@ -43,10 +57,10 @@ def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float
     if isinstance(names, list | tuple):
         if len(names) != len({*map(repr, names)}):
             raise InputError(f"{HERE} contains a signal twice; list each signal once")
-        value = {name if isinstance(name, str) else quoted(name): 1.0 for name in names}
+        value = {name if isinstance(name, str) else short_repr(name): 1.0 for name in names}
     if not isinstance(value, Mapping) or not value:
         raise InputError(
-            f'{HERE} = {quoted(names)} is not allowed; give "{PERFORMANCE}", or a table of signals and weights, as in '
+            f'{HERE} = {short_repr(names)} is not allowed; give "{PERFORMANCE}", or a table of signals and weights, as in '
             "{ sprung_acceleration = 1.0 }"
         )
     return BySignal(low=SMALLEST, unit="1").read(value, context)
@@ -57,7 +71,7 @@ def _band(value: Any, context: Mapping[str, Any]) -> tuple[float, float]:
     ends = [in_unit(one, "Hz", HERE) for one in value] if isinstance(value, list | tuple) else []
     if len(ends) != 2 or not all(map(is_finite, ends)) or not 0 <= ends[0] < ends[1] <= HIGHEST:
         raise InputError(
-            f"{HERE} = {quoted(value)} is not allowed; give the lowest and highest frequency, up to {HIGHEST:g} Hz, as "
+            f"{HERE} = {short_repr(value)} is not allowed; give the lowest and highest frequency, up to {HIGHEST:g} Hz, as "
             "in band = [4.0, 8.0], or omit band for all frequencies"
         )
     return float(ends[0]), float(ends[1])
@@ -103,7 +117,7 @@ class Minimise(NormOf):
 def _signal(value: Any, context: Mapping[str, Any]) -> str:
     """Returns the name of an output signal."""
     if not isinstance(value, str) or value not in context["signals"]:
-        raise InputError(f"{HERE}: unknown signal {quoted(value)}; give one of {alike(value, context['signals'])}")
+        raise InputError(f"{HERE}: unknown signal {short_repr(value)}; give one of {alike(value, context['signals'])}")
     return value
 
 
@@ -171,13 +185,13 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
     measured = context.get("measured", ())
     if not isinstance(value, Mapping):
         raise InputError(
-            f"{HERE} = {quoted(value)} is not a table; give the largest relative error of each sensor, as in tolerance = "
+            f"{HERE} = {short_repr(value)} is not a table; give the largest relative error of each sensor, as in tolerance = "
             f"{{ {next(iter(measured), FORCE)} = 0.1 }} for 10 %"
         )
     forces = [force for force in context["corners"] if force not in measured]
     if wrong := [name for name in value if name not in (*measured, *forces, FORCE)]:
-        allowed = listing((*measured, *forces, FORCE))
-        raise InputError(f"{HERE}: unknown key {quoted(wrong[0])}; give {allowed} ({FORCE} is all forces)")
+        allowed = list_names((*measured, *forces, FORCE))
+        raise InputError(f"{HERE}: unknown key {short_repr(wrong[0])}; give {allowed} ({FORCE} is all forces)")
     if FORCE in value and any(force in value for force in forces):
         raise InputError(f"{HERE} has both {FORCE}, which means all forces, and a single force; give one of the two")
     return {name: _error(f"{HERE}.{name}", one) for name, one in value.items()}
@@ -189,7 +203,7 @@ def _error(where: str, given: Any) -> float | Filter:
         return ERROR.number(where, given)
     if set(given) != {"weight"}:
         raise InputError(
-            f"{where} = {quoted(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
+            f"{where} = {short_repr(dict(given))} is not allowed; give the largest relative error (0.1 for 10 %), or "
             "{ weight = { numerator = [...], denominator = [...] } } with coefficients in descending powers of s"
         )
     weight = given["weight"]
@@ -208,7 +222,8 @@ def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool
     fits = isinstance(value, list | tuple) and len(value) == len(corners) and all(isinstance(row, list | tuple) for row in value)
     if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
-            f'{HERE} = {quoted(value)} is not allowed; give "{CORNER}", "{PI}", "{PID}", or a list of {len(corners)} row(s), one '
+            f'{HERE} = {short_repr(value)} is not allowed; give "{CORNER}", "{PI}", "{PID}", or a list of {len(corners)} '
+            "row(s), one "
             f"for each force, with {len(measured)} number(s) 0 or 1, one for each measured signal"
         )
     if not any(any(row) for row in value):
@@ -227,7 +242,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
         if not any(used):
             raise InputError(
                 f"{what}, but {signal!r} belongs to no corner; measure signals with the endings of the forces "
-                f"{listing(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
+                f"{list_names(corners)}, or give structure as a list of rows of 0 and 1, one row for each force"
             )
     for force, row in zip(corners, rows, strict=True):
         if not any(row):
@@ -236,7 +251,7 @@ def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) 
 
 
 FAMILY = "factors on parameters of each vehicle"
-FACTORS = Listed("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
+FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMILY}, as in [{{}}, {{ sprung_mass = 1.4 }}]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +266,7 @@ class Goals(Section):
     ] = field(default_factory=Minimise)
     bounds: Annotated[
         tuple[Bound, ...],
-        Listed("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
+        ListedValues("bounds for all vehicles and errors", Subsection("", BOUNDS, EXAMPLES), ", as in [{ norm = 8.6 }]", 0),
     ] = ()
     tolerance: Annotated[
         Mapping[str, Any], ReadBy("largest relative errors of measured signals and forces, by name", _tolerance)

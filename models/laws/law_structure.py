@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.printed import entry
 from models.common.schema import HERE, SI, ReadBy, Section, Subsection
 from models.laws.design_methods import FULL, PATTERNS, PI, PID, STATIC
@@ -56,7 +56,7 @@ def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
     m = len(context["corners"])
     several = value if isinstance(value, list | tuple) else [value] * m
     if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
-        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number, or a list of {m} number(s), one per force")
+        raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a number, or a list of {m} number(s), one per force")
     return tuple(float(one) for one in several)
 
 
@@ -74,7 +74,8 @@ def _order(value: Any, context: Mapping[str, Any]) -> str | int:
     """Returns the name of an order, or a number of states."""
     if value not in (STATIC, FULL) and not is_order(value):
         raise InputError(
-            f"{HERE} = {quoted(value)} is unknown; give one of {FULL}, {STATIC}, or a number of states from 0 to {MOST_STATES}"
+            f"{HERE} = {short_repr(value)} is unknown; give one of {FULL}, {STATIC}, or a number of states from 0 to "
+            f"{MOST_STATES}"
         )
     return value
 

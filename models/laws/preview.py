@@ -20,7 +20,7 @@ from models.common.errors import InputError
 from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
 from models.laws.python_law import AHEAD, samples_ahead
 
-COMPARED = 100  # samples at which two previews are compared
+COMPARED_SAMPLES = 100  # samples at which two previews are compared
 MOST_PRODUCTS = 2e9  # of a sum that is made term by term, in a second
 
 
@@ -96,7 +96,7 @@ class RoadPreview:
         """Returns the largest difference of the weights from another's, over their largest; infinite if T or a shape differs."""
         if self.seconds != other.seconds:
             return np.inf
-        one, two = (each.weights(self.seconds / COMPARED) for each in (self, other))
+        one, two = (each.weights(self.seconds / COMPARED_SAMPLES) for each in (self, other))
         return float(np.abs(one - two).max() / (np.abs(two).max() or 1.0)) if one.shape == two.shape else np.inf
 
     def forces(self, heights: Array, steps: int, timestep: float, samples: int) -> Array:
@@ -113,7 +113,7 @@ class RoadPreview:
         forces = np.zeros((due, weights.shape[1]))
         for i, j in np.ndindex(weights.shape[1:]):
             if np.any(weights[:, i, j]):
-                forces[:, i] += _correlated(sampled[:, j], weights[:, i, j])
+                forces[:, i] += _correlate(sampled[:, j], weights[:, i, j])
         return np.repeat(forces, steps, axis=0)[:samples]
 
     def response(self, omega: Array) -> Array:
@@ -134,7 +134,7 @@ class RoadPreview:
         return (turns @ weights.reshape(len(weights), -1)).reshape(-1, *weights.shape[1:])
 
 
-def _correlated(heights: Array, weights: Array) -> Array:
+def _correlate(heights: Array, weights: Array) -> Array:
     """Returns the sums of weighted heights at every place where all of them are there; many of them by Fourier transforms."""
     if len(heights) * len(weights) <= MOST_PRODUCTS:
         return np.correlate(heights, weights, "valid")

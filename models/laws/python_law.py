@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from xml.etree import ElementTree
 
 from models.common.checks import AT_LEAST_ONE, check
-from models.common.errors import InputError, alike, error_in, listing, quoted
+from models.common.errors import InputError, alike, error_in, list_names, short_repr
 from models.common.files import origin, read_bytes, read_text
 from models.common.schema import HERE, SI, TEXT, ReadBy, Section
 from models.laws.law import ControlLaw, Design, DriverKey, LawSource
@@ -103,10 +103,10 @@ class PythonLaw(LawSource):
 
     def driver(
         self, name: str, measured: tuple[str, ...], design: Design[Any], read: Callable[[], str] | None = None
-    ) -> "Programmed":
+    ) -> "PythonController":
         """See `LawSource`."""
         with error_in(f"controller {name!r}:"):
-            return Programmed(name, measured, self, (read or self.source)())
+            return PythonController(name, measured, self, (read or self.source)())
 
     def source(self) -> str:
         """Reads the text of the law's file without running it. For an FMU, it is the text that steps it, with its checksum.
@@ -128,7 +128,7 @@ class PythonLaw(LawSource):
 
 
 @dataclass(frozen=True, eq=False)
-class Programmed(ControlLaw):
+class PythonController(ControlLaw):
     """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
@@ -203,7 +203,7 @@ def is_driver(given: object) -> bool:
     return callable(getattr(given, "start", None)) and callable(getattr(given, "step", None))
 
 
-def of_function(function: Any, measurable: Sequence[str]) -> Programmed:
+def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
     """Returns the controller of a function, or of a driver; its attributes `measured` and `preview` [s] are as in a vehicle file.
 
     Args:
@@ -217,13 +217,13 @@ def of_function(function: Any, measurable: Sequence[str]) -> Programmed:
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
         if signal not in measurable:
-            raise InputError(f"{name}.measured: unknown signal {quoted(signal)}; measurable are {alike(signal, measurable)}")
+            raise InputError(f"{name}.measured: unknown signal {short_repr(signal)}; measurable are {alike(signal, measurable)}")
     try:
         source = inspect.getsource(function)
     except (OSError, TypeError):  # typed at a prompt, or an object
         source = ""
     ahead = None if preview is None else AHEAD.number(f"{name} preview", preview)
-    return Programmed(name, measured, PythonLaw(name, ahead), source, function)
+    return PythonController(name, measured, PythonLaw(name, ahead), source, function)
 
 
 def sha256(text: str) -> str:
@@ -235,7 +235,7 @@ def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mappin
     """Returns a name that has a file in the folder of the vehicle file or below. Opens no file."""
     match = pattern.fullmatch(value) if isinstance(value, str) else None
     if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
-        raise InputError(f"{HERE} = {quoted(value)} is not {expected}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not {expected}")
     return value
 
 
@@ -243,7 +243,7 @@ def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
     """Returns the signals by names of an FMU's variables."""
     if not isinstance(value, Mapping) or not all(isinstance(signal, str) for signal in value.values()):
         example = '{ In1 = "suspension_deflection" } for inputs, or { Out1 = "control_force" } for outputs'
-        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a signal for each variable, as in {example}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a signal for each variable, as in {example}")
     return {str(name): signal for name, signal in value.items()}
 
 
@@ -266,7 +266,7 @@ class ProgramSection(Section):
     def __post_init__(self) -> None:
         if self.fmu is not None and (others := [key for key in ("law", "preview") if getattr(self, key) is not None]):
             raise InputError(
-                f"has both fmu and {listing(others)}, but an FMU is a complete law without preview; omit one of them"
+                f"has both fmu and {list_names(others)}, but an FMU is a complete law without preview; omit one of them"
             )
         if self.fmu is None and (named := [key for key in ("inputs", "outputs") if getattr(self, key) is not None]):
             raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")

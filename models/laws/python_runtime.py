@@ -25,9 +25,9 @@ import numpy as np
 
 from models.common.arrays import Array, check_unmasked
 from models.common.children import Child, EndedError
-from models.common.errors import InputError, quoted
-from models.laws.python_law import Programmed
-from models.laws.user_code import compiled, reason
+from models.common.errors import InputError, short_repr
+from models.laws.python_law import PythonController
+from models.laws.user_code import compile_file, reason
 
 LONGEST = 10.0  # s, limit of the calls of a sample; a typical law takes microseconds
 SLOWEST = 100.0  # limit of all calls of a run, relative to its simulated time; `LONGEST` is added to it
@@ -65,7 +65,7 @@ class Sample:
 
     def __getitem__(self, signal: str) -> Any:
         if signal not in self._index:
-            raise InputError(f"it does not measure {quoted(signal)}; its measured signals are {', '.join(self._index)}")
+            raise InputError(f"it does not measure {short_repr(signal)}; its measured signals are {', '.join(self._index)}")
         return self.y[..., self._index[signal]]
 
 
@@ -76,7 +76,7 @@ class OwnLaw:
         vectorised: True if one call serves many runs, according to the attribute of that name of the function.
     """
 
-    def __init__(self, controller: Programmed, forces: int) -> None:
+    def __init__(self, controller: PythonController, forces: int) -> None:
         """Executes the file, or resets the function if it has a method `reset`, or else copies the function with its state.
 
         Raises:
@@ -84,13 +84,13 @@ class OwnLaw:
         """
         law, step = controller.law, anew(controller.function)
         self._path, self._forces, self._fmu, self._name = law.path, forces, law.is_fmu, law.function
-        self._what, self._state = described(controller), None
+        self._what, self._state = describe_law(controller), None
         self._index = {name: i for i, name in enumerate(controller.measured)}
         if step is None:
             assert self._path is not None, "code comes from files only"
             module = ModuleType("roadproof_law")
             module.__file__ = str(self._path)
-            code = compiled(self._what, self._path, controller.source)
+            code = compile_file(self._what, self._path, controller.source)
             self._run("the file", lambda: exec(code, vars(module)))
             step = vars(module).get(law.function)
         if not callable(step):
@@ -98,7 +98,7 @@ class OwnLaw:
                 f"{self._what}: the file has no function {law.function!r}; define it as def {law.function}(sample, state)"
             )
         self._step: Callable[..., Any] = step
-        self._timed, name, self.vectorised = _timed(step), f"{law.function}.vectorised", getattr(step, "vectorised", False)
+        self._timed, name, self.vectorised = _takes_time(step), f"{law.function}.vectorised", getattr(step, "vectorised", False)
         if not isinstance(self.vectorised, (bool, np.bool_)):
             raise InputError(f"{self._what}: {name} is neither True nor False; set {name} = True, or omit it")
         if controller.function is not None:
@@ -172,7 +172,7 @@ class LawRuns:
 
     vectorised = False
 
-    def __init__(self, controller: Programmed, forces: int) -> None:
+    def __init__(self, controller: PythonController, forces: int) -> None:
         """Prepares no run yet; they have this number of forces."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
@@ -226,9 +226,9 @@ class LawRuns:
 class FileRuns:
     """`LawRuns` of a law in a file, in a child process. If the process ends, all its runs fail."""
 
-    def __init__(self, controller: Programmed, forces: int) -> None:
+    def __init__(self, controller: PythonController, forces: int) -> None:
         """Prepares no run yet; they have this number of forces."""
-        self._what, self._name, self._left, self._count = described(controller), controller.law.function, LONGEST, 0
+        self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
         weakref.finalize(self, _idle[os.getpid()].append, self._child).atexit = False
@@ -250,10 +250,10 @@ class FileRuns:
         self._left += SLOWEST * period * self._count
         began = clock()
         try:
-            arrays = _packed(gone), _packed(y), None if preview is None else _packed(preview)
+            arrays = _pack_array(gone), _pack_array(y), None if preview is None else _pack_array(preview)
             longest, when = min(LONGEST, self._left), f" at {time:.6g} s"
             forces, errors = self._answer(self._name, longest, when, "call", time, period, *arrays)
-            return _unpacked(*forces), errors
+            return _unpack_array(*forces), errors
         finally:
             self._left -= clock() - began
 
@@ -279,10 +279,10 @@ def _child() -> Child:
         while (child := idle.pop()).ended:
             pass
         return child
-    return Child(_served)
+    return Child(_serve_laws)
 
 
-def _served(messages: Iterator[Any]) -> Iterator[Any]:
+def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
     """Runs laws in a child: of one controller at a time."""
     np.seterr(all="ignore")  # non-finite results are found by `OwnLaw`
     runs: Any = None
@@ -290,9 +290,9 @@ def _served(messages: Iterator[Any]) -> Iterator[Any]:
         try:
             if what == "call":
                 time, period, gone, y, preview = message
-                ahead = None if preview is None else _unpacked(*preview)
-                forces, errors = runs.call(_unpacked(*gone), _unpacked(*y), time, period, ahead)
-                yield _packed(forces), errors
+                ahead = None if preview is None else _unpack_array(*preview)
+                forces, errors = runs.call(_unpack_array(*gone), _unpack_array(*y), time, period, ahead)
+                yield _pack_array(forces), errors
             elif what == "add":
                 yield runs.add(*message)
             else:
@@ -303,27 +303,27 @@ def _served(messages: Iterator[Any]) -> Iterator[Any]:
             yield error
 
 
-def _packed(array: Array) -> tuple[str, tuple[int, ...], bytes]:
+def _pack_array(array: Array) -> tuple[str, tuple[int, ...], bytes]:
     """Returns the parts of a small array, which take a tenth of the array's own time to be pickled."""
     return array.dtype.char, array.shape, array.tobytes()
 
 
-def _unpacked(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
+def _unpack_array(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
     """Returns an array from its parts."""
     return np.frombuffer(content, dtype).reshape(shape).copy()
 
 
-def runs_of(controller: Programmed, forces: int) -> LawRuns | FileRuns:
+def runs_of(controller: PythonController, forces: int) -> LawRuns | FileRuns:
     """Returns what runs a law: its file in a child process, or the caller's function in this process."""
     return (FileRuns if controller.function is None else LawRuns)(controller, forces)
 
 
-def described(controller: Programmed) -> str:
+def describe_law(controller: PythonController) -> str:
     """Returns how messages name a controller and its law."""
     return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
 
 
-def _timed(function: Any) -> bool:
+def _takes_time(function: Any) -> bool:
     """Returns True for a law of time and measurements, law(t, y), instead of a sample and a state."""
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
@@ -333,4 +333,4 @@ def _timed(function: Any) -> bool:
 
 def _short(value: Any) -> str:
     """Returns a user's value as text for a message."""
-    return quoted(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"
+    return short_repr(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"

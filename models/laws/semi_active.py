@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.schema import SI, Choice, Section, keys
 from models.laws.law import ControlLaw, Design, DriverKey, LawSource
 
@@ -290,7 +290,7 @@ class SemiActiveSection(Section):
             return None
         (law, _, own), what = LAWS[self.semi_active], f"semi_active = {self.semi_active!r}"
         if wrong := [key for key in given if key not in ("semi_active", *own)]:
-            known = f"its keys are {listing(own)}" if own else "this law has no keys"
+            known = f"its keys are {list_names(own)}" if own else "this law has no keys"
             raise InputError(f"{what} has no key {wrong[0]!r} ({known}); omit {wrong[0]}")
         if absent := [force for force in inputs if force not in endings]:
             raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 from models.common.errors import InputError, one_line
 
 
-def compiled(what: str, path: Path, text: str) -> CodeType:
+def compile_file(what: str, path: Path, text: str) -> CodeType:
     """Returns the compiled code of a file.
 
     Args:

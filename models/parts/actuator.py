@@ -21,7 +21,7 @@ class Actuator(Part):
         return np.negative(u)
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         return False
 
     @classmethod

@@ -40,12 +40,12 @@ class Adjustable(SettablePart):
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""
-        return self.ratio * self.ramp(self.ratio * v, u)
+        return self.ratio * self.force_at(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         own = self.ratio * v
         set_force = u * self.shape(own)
-        return self.ratio * (set_force if self.standing is None else self.standing.pieces.force(own) + set_force)
+        return self.ratio * (set_force if self.nominal_curve is None else self.nominal_curve.pieces.force(own) + set_force)
 
     @cached_property
     def line(self) -> Line:
@@ -53,18 +53,18 @@ class Adjustable(SettablePart):
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """True if the nominal setting differs from its line."""
-        return self.standing is not None and self.standing.bent
+        return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
     def kinked_at_rest(self) -> bool:
-        return self.standing is not None and bool((self.standing.pieces.start == 0).any())
+        return self.nominal_curve is not None and bool((self.nominal_curve.pieces.start == 0).any())
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """See `Part.curve`: of the nominal setting; None if it is straight."""
-        return self.standing and self.standing.at_wheel(self.ratio)
+        return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
         """Returns the velocities at which the nominal setting leaves its line."""
@@ -109,7 +109,7 @@ class Adjustable(SettablePart):
                 f"{name} = {nominal:g} N s/m, which acts without a command, is outside of c_min = {damper.c_min:g} "
                 f"to c_max = {damper.c_max:g} N s/m of [actuators]; change {name}, c_min or c_max"
             )
-        one = cls(place.force, place.ending, damper, nominal, 1.0, _standing(damper, nominal, beside))
+        one = cls(place.force, place.ending, damper, nominal, 1.0, _nominal_curve(damper, nominal, beside))
         _check_takes(name, one)
         pairs = [dampers[other.force].pair for other in suspensions if other.damping == name and vehicle.adjusted(other.force)]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
@@ -144,15 +144,15 @@ class Adjustable(SettablePart):
 
         None if nothing but these acts.
         """
-        if self.standing is None or self.damper.pair is None:
-            return self.standing
-        pair, x = self.damper.pair, np.union1d(self.standing.x, self.damper.pair.knots)
-        bent = self.standing.pieces.force(x) + self.low * (pair.shape(x) - pair.line * x)
-        return replace(self.standing, x=x, force=self.nominal * x + bent)
+        if self.nominal_curve is None or self.damper.pair is None:
+            return self.nominal_curve
+        pair, x = self.damper.pair, np.union1d(self.nominal_curve.x, self.damper.pair.knots)
+        bent = self.nominal_curve.pieces.force(x) + self.low * (pair.shape(x) - pair.line * x)
+        return replace(self.nominal_curve, x=x, force=self.nominal * x + bent)
 
 
-def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
-    """Returns `Adjustable.standing`; a parallel curve counts with its pieces, whatever its line."""
+def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
+    """Returns `Adjustable.nominal_curve`; a parallel curve counts with its pieces, whatever its line."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
         share, pair = (nominal - damper.c_min) / (damper.c_max - damper.c_min), damper.pair
@@ -166,12 +166,12 @@ def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> Forc
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
     """Checks that the softest setting with its parallel curve takes energy at every velocity; firmer ones take more."""
-    if one.standing is None:
+    if one.nominal_curve is None:
         return
-    x = one.standing.x
-    pull, far = one.ramp(x, one.low), 2 * x[[0, -1]]
-    on = (one.ramp(far, one.low) - pull[[0, -1]]) / x[[0, -1]]
-    feeding = np.flatnonzero(pull * np.sign(x) < -ROUNDING * one.standing.range)
+    x = one.nominal_curve.x
+    pull, far = one.force_at(x, one.low), 2 * x[[0, -1]]
+    on = (one.force_at(far, one.low) - pull[[0, -1]]) / x[[0, -1]]
+    feeding = np.flatnonzero(pull * np.sign(x) < -ROUNDING * one.nominal_curve.range)
     where = [f"at {x[i]:g} m/s" for i in feeding[:1]]
     where += [f"beyond {x[end]:g} m/s, where its end is extended" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:

@@ -52,8 +52,8 @@ class Characteristic(Part):
         return Line(0.0, slope) if self.argument == "velocity" else Line(slope)
 
     @property
-    def bent(self) -> bool:
-        return self.own.bent
+    def is_nonlinear(self) -> bool:
+        return self.own.is_nonlinear
 
     @property
     def kinked_at_rest(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.characteristics.curve import Pieces
 from models.common.arrays import Array
-from models.parts.part import chosen, merged
+from models.parts.part import choose_runs, merge_parts
 
 STILL = 1e-150  # m/s, in place of a velocity of 0
 
@@ -24,21 +24,21 @@ class CoefficientRange:
         nominal: the nominal coefficient [N s/m], 0 for an actuator that pushes, shape (N, m).
         adjustable: True for adjustable dampers, the same in every run, shape (m,).
         elements: elements whose voltage is set; their limits, the nominal value and what counts as coefficient are in V.
-        bent: deviations from their lines of h (`models.characteristics.adjustable_range`) and of the softest settings, each in P
-            pieces, shape (N, m, P); None if all are straight.
+        deviations: deviations from their lines of h (`models.characteristics.adjustable_range`) and of the softest settings,
+            each in P pieces, shape (N, m, P); None if all are straight.
     """
 
     low: Array
     high: Array
     nominal: Array
     adjustable: Array
-    bent: tuple[Pieces, Pieces] | None = None
+    deviations: tuple[Pieces, Pieces] | None = None
     elements: tuple["SetColumn", ...] = ()
 
     @property
     def curved(self) -> bool:
         """True if the limits of a coefficient law depend on the motion."""
-        return self.bent is not None or bool(self.elements)
+        return self.deviations is not None or bool(self.elements)
 
     def closing(self, speeds: Array, travels: Array, z: Array) -> Array:
         """Returns the closing velocities, and after them the travel and the states of each element, shape (..., N, m + c).
@@ -60,7 +60,7 @@ class CoefficientRange:
     def _effective(self, closing: Array, which: Array | slice) -> Array:
         """Returns `effective_velocity`, but the closing velocities of elements."""
         closing = closing[..., : self.low.shape[1]]
-        return closing if self.bent is None else closing - self.bent[0][which].force(-closing)
+        return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are.
@@ -80,7 +80,7 @@ class CoefficientRange:
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
         """Returns `effective_velocity`, but the closing velocities of elements."""
         closing = closing[..., : self.low.shape[1]]
-        return closing if self.bent is None else closing - self.bent[0][which].force(-closing)
+        return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
@@ -90,8 +90,8 @@ class CoefficientRange:
             closing: closing velocity of each suspension [m/s], not 0, see `closing`, shape (N, m + c).
         """
         speeds = closing[..., : self.low.shape[1]]
-        if self.bent is not None:
-            least = c_min - self.bent[1][which].force(-speeds) / speeds
+        if self.deviations is not None:
+            least = c_min - self.deviations[1][which].force(-speeds) / speeds
             c_min, c_max = least, least + (c_max - c_min) * self._velocity(closing, which) / speeds
         if not self.elements:
             return c_min, c_max
@@ -136,8 +136,8 @@ class CoefficientRange:
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
-        if self.bent is not None:  # the coefficients at rest of these settings
-            low, soft = self.low[which], self.bent[1][which].force(-speeds)
+        if self.deviations is not None:  # the coefficients at rest of these settings
+            low, soft = self.low[which], self.deviations[1][which].force(-speeds)
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
         found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
@@ -221,7 +221,7 @@ class SetColumn:
     def at(self, closing: Array, which: Array | slice) -> tuple[Any, tuple[Array, Array, Array]]:
         """Returns some of the elements, and their travels, velocities and states from `CoefficientRange.closing`."""
         own = closing[..., self.start + 1 : self.start + 1 + len(self.own)]
-        return chosen(self.element, which), (closing[..., self.start], -closing[..., self.column], own)
+        return choose_runs(self.element, which), (closing[..., self.start], -closing[..., self.column], own)
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:
@@ -247,7 +247,7 @@ def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> Coef
         return curved
     shape = [pair and pair.shape.pieces for pair in every]
     soft = [pair and pair.soft.pieces for pair in every]
-    return replace(curved, bent=(Pieces.stacked(shape, high.shape), Pieces.stacked(soft, high.shape)))
+    return replace(curved, deviations=(Pieces.stacked(shape, high.shape), Pieces.stacked(soft, high.shape)))
 
 
 def _elements(vehicles: Sequence[Any]) -> tuple[SetColumn, ...]:
@@ -272,7 +272,7 @@ def _elements(vehicles: Sequence[Any]) -> tuple[SetColumn, ...]:
                 tuple(signal.name for signal in one.states),
                 start,
                 parts,
-                merged(own, (len(own),)),
+                merge_parts(own, (len(own),)),
             )
         )
         start += 1 + n

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from models.characteristics.stops import holds, places_of
-from models.common.errors import InputError, alike, error_in, listing, quoted
-from models.common.schema import SI, Listed, Section, Text, keys, read
+from models.common.errors import InputError, alike, error_in, list_names, short_repr
+from models.common.schema import SI, ListedValues, Section, Text, keys, read
 from models.kinds.kind import Suspension
 from models.kinds.signals import Signal
 from models.parts.part import Part, Straight, state_signals
@@ -21,7 +21,7 @@ class PartSite(Section):
     """Keys of every element."""
 
     kind: Annotated[str, Text("name of the part")]
-    at: Annotated[tuple[str, ...], Listed("suspensions or axles with the element; default: all", Text())] = ()
+    at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Element:
     def straight(self) -> "Element":
         """The element with its line alone; itself if it is a contact, or has nothing beyond its line."""
         part = self.part
-        return self if part.contact or not part.bent else replace(self, part=Straight(part.line, part.states))
+        return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
     def with_slope(self, slope: float, damps: bool) -> "Element":
         """Returns the element with another slope of its line [N s/m or N/m], over velocity or over deflection."""
@@ -89,19 +89,19 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
     for name, given in section.items():
         where = f"[parts.{name}]"
         if not isinstance(given, Mapping):
-            raise InputError(f"[parts] {name} is not a section; write [parts.NAME] with kind = ..., one of {listing(kinds)}")
+            raise InputError(f"[parts] {name} is not a section; write [parts.NAME] with kind = ..., one of {list_names(kinds)}")
         common = {
             key: [one] if key == "at" and isinstance(one := given[key], str) else given[key]
             for key in keys(PartSite)
             if key in given
         }
         if "kind" not in given:
-            raise InputError(f"{where} kind is missing; give one of {listing(kinds)}")
+            raise InputError(f"{where} kind is missing; give one of {list_names(kinds)}")
         place = read(where, PartSite, common)
         if place.kind not in kinds:
             raise InputError(f"{where} kind = {place.kind!r} is unknown; give one of {alike(place.kind, kinds)}")
         if unknown := [key for key in given if key not in (known := [*keys(PartSite), *keys(kinds[place.kind])])]:
-            raise InputError(f"{where} unknown key {quoted(unknown[0])}; known keys: {alike(unknown[0], known)}")
+            raise InputError(f"{where} unknown key {short_repr(unknown[0])}; known keys: {alike(unknown[0], known)}")
         if name in taken:
             raise InputError(f"{where} has the name of a parameter; give the section another name")
         with error_in(where):
@@ -117,7 +117,7 @@ def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
     for place in at:
         here = [corner for corner in corners if holds(place, corner)]
         if not here:
-            known = f"it has {listing(places_of(corners))}" if any(corners) else "omit at, as there is only one suspension"
+            known = f"it has {list_names(places_of(corners))}" if any(corners) else "omit at, as there is only one suspension"
             raise InputError(f"at = {place!r} is not a suspension or an axle of this vehicle; {known}")
         chosen += here
     return tuple(dict.fromkeys(chosen)) if at else tuple(corners)

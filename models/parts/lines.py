@@ -28,7 +28,7 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
 
     Slopes are the elements' own, as in `[parameters]`, without what a preload adds.
     """
-    bent = {one.name: one for one in curves if one.curve.bent}
+    bent = {one.name: one for one in curves if one.curve.is_nonlinear}
     slopes = {
         name: [(slope - one.part.line.of_preload) / one.ratio**2 for slope in (one.curve.slope, *one.curve.slope_range)]
         for name, one in bent.items()

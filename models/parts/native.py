@@ -21,7 +21,7 @@ from models.common.errors import InputError
 # MuJoCo's bindings carry no type stubs.
 
 
-UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
+LARGEST_FORCE = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
 MOTOR = "part_"  # begins the name of a motor, after the prefix and before the tendon
 
 
@@ -52,7 +52,7 @@ class Tendon:
             along = [0.0, -slope] if over_speed else [-slope, 0.0]
             actuator.biasprm[:3] = [slope * (start + length), *along]
             actuator.forcelimited = True
-            actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -UNBOUNDED, UNBOUNDED)
+            actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -LARGEST_FORCE, LARGEST_FORCE)
 
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
         """Adds a spring beside the tendon, f = -(a x + b x^2 + c x^3), with a dead band of lengths [m]."""
@@ -103,7 +103,7 @@ class Tendon:
             ramp.gainprm[:3] = [slope * knot, 0.0, -slope]
             ramp.biasprm[:3] = [-low * slope * knot, 0.0, low * slope]
             ramp.forcelimited = True
-            ramp.forcerange = [-UNBOUNDED, 0.0] if slope * side > 0 else [0.0, UNBOUNDED]
+            ramp.forcerange = [-LARGEST_FORCE, 0.0] if slope * side > 0 else [0.0, LARGEST_FORCE]
             parts.append(ramp)
         if lag is not None:
             for part in parts:

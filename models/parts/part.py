@@ -176,7 +176,7 @@ class Part(ABC):
         return self.stored(d, z) - self.line.stiffness * np.square(d) / 2
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """False if the force is that of its line everywhere."""
         return True
 
@@ -188,7 +188,7 @@ class Part(ABC):
     @property
     def acts(self) -> bool:
         """False if nothing is beyond the line."""
-        return self.bent or bool(self.inputs)
+        return self.is_nonlinear or bool(self.inputs)
 
     @property
     def kinked_at_rest(self) -> bool:
@@ -200,7 +200,7 @@ class Part(ABC):
 
     def limits(self) -> Sequence[Limit]:
         """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""
-        return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.bent and np.isfinite(self.range) else ()
+        return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.is_nonlinear and np.isfinite(self.range) else ()
 
     @cached_property
     def curve(self) -> "ForceCurve | None":
@@ -343,7 +343,7 @@ class SettablePart(Part):
         nominal: coefficient of the linear model [N s/m].
         ratio: motion ratio at rest. All other numbers, forces and velocities are the damper's own, not those at the wheel, but
             for those of `Part`.
-        standing: curve of the nominal damper with the curve parallel to it; None if both are straight.
+        nominal_curve: curve of the nominal damper with the curve parallel to it; None if both are straight.
     """
 
     inputs = 1
@@ -353,7 +353,7 @@ class SettablePart(Part):
     damper: "Damper"
     nominal: float
     ratio: float = 1.0
-    standing: "ForceCurve | None" = None
+    nominal_curve: "ForceCurve | None" = None
 
     @property
     def coefficient(self) -> str:
@@ -390,9 +390,9 @@ class SettablePart(Part):
         """Returns the force per coefficient, h [m/s], at velocities of the damper's own [m/s], shape (...)."""
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
-    def ramp(self, v: Array, beyond: Array | float) -> Array:
+    def force_at(self, v: Array, beyond: Array | float) -> Array:
         """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
-        still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
+        still = self.nominal * np.asarray(v) if self.nominal_curve is None else self.nominal_curve(v)
         return still + beyond * self.shape(v)
 
 
@@ -407,7 +407,7 @@ class Parts(tuple[SuspensionPart, ...]):
     @cached_property
     def nonlinear(self) -> bool:
         """True if a force differs from its line before a contact."""
-        return any(one.part.bent and not one.part.contact for one in self)
+        return any(one.part.is_nonlinear and not one.part.contact for one in self)
 
     @cached_property
     def adjustable(self) -> tuple[SettablePart, ...]:
@@ -455,7 +455,7 @@ class Straight(Part):
         return self.at_rest
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         return False
 
 
@@ -479,7 +479,7 @@ class Stack:
                 groups.append(([*row], [i]))
         self._line, self.columns = line, len(parts[0])
         shapes = ((len(rows), self.columns) if len(parts) > 1 else (self.columns,) for _, rows in groups)
-        together = (merged(members, shape) for (members, _), shape in zip(groups, shapes, strict=True))
+        together = (merge_parts(members, shape) for (members, _), shape in zip(groups, shapes, strict=True))
         self._groups = [(part, np.array(rows)) for part, (_, rows) in zip(together, groups, strict=True) if part is not None]
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -510,7 +510,7 @@ class Stack:
         return total
 
 
-def chosen(part: Any, which: Array | slice) -> Any:
+def choose_runs(part: Any, which: Array | slice) -> Any:
     """Returns a part of N runs for some of these, from a part whose numbers may be arrays of shape (N,)."""
     if isinstance(which, slice):
         return part
@@ -518,16 +518,16 @@ def chosen(part: Any, which: Array | slice) -> Any:
     for one in fields(part):
         value = getattr(part, one.name)
         of_runs = isinstance(value, np.ndarray) and value.ndim
-        vars(own)[one.name] = value[which] if of_runs else chosen(value, which) if isinstance(value, Part) else value
+        vars(own)[one.name] = value[which] if of_runs else choose_runs(value, which) if isinstance(value, Part) else value
     return own
 
 
 def alike(one: Part, other: Part) -> bool:
     """Returns True for parts that differ in numbers alone."""
-    return merged([one, other], (2,)) is not None
+    return merge_parts([one, other], (2,)) is not None
 
 
-def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
+def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
     """Returns parts that differ in numbers alone as one, whose numbers are arrays of a shape; None if they differ in more."""
     first = parts[0]
     if all(part is first for part in parts):
@@ -540,7 +540,7 @@ def merged(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
         if all(value is values[0] for value in values):
             continue
         if isinstance(values[0], Part):
-            changed[one.name] = merged(values, shape)
+            changed[one.name] = merge_parts(values, shape)
             if changed[one.name] is None:
                 return None
         elif all(isinstance(value, float) for value in values):

@@ -10,7 +10,7 @@ from models.characteristics.stops import Stop, StopTable
 
 WEAKEST, FIRMEST = 0.01, 10.0  # damping ratio of a measured damper
 FASTEST = 5.0  # m/s: a table beyond it is of a firm damper, or in inches
-REVERSED = 1.6  # compression force over extension force, as of a table with the other sign
+REVERSED_RATIO = 1.6  # compression force over extension force, as of a table with the other sign
 SHORTEST, LONGEST = 5e-3, 2.0  # m, of a table
 WEAKEST_STOP, FIRMEST_STOP = 1 / 30, 100.0  # largest force of a table over the load on the suspension
 
@@ -30,7 +30,7 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
             ratio = most if weak else least
             yield f"the damping ratio is about {round(ratio, 4):g}; check that forces are in N, and velocities in m/s"
     compression, extension = (abs(float(firmest(x))) for x in (-v, v))
-    if compression > REVERSED * extension:
+    if compression > REVERSED_RATIO * extension:
         yield (
             f"the force at {round(v, 3):g} m/s is {round(compression)} N in compression and {round(extension)} N in extension, "
             "where most dampers have the larger one; check that the velocity is positive in extension"

@@ -30,7 +30,7 @@ class Constant:
     """Motion ratio of 1, with the interface of a `RatioTable`."""
 
     at_rest: ClassVar[float] = 1.0
-    turn: ClassVar[float] = 0.0
+    relative_slope: ClassVar[float] = 0.0
 
     def ratio_and_travel(self, deflection: Array) -> tuple[Array | float, Array]:
         return 1.0, deflection
@@ -115,7 +115,7 @@ class AtRatio(Part):
     @cached_property
     def line(self) -> Line:
         own, r = self.part.line, self.scale * self.table.at_rest
-        of_preload = -self.table.turn * self.load
+        of_preload = -self.table.relative_slope * self.load
         slopes = r**2 * own.stiffness + of_preload, r**2 * own.damping, r * own.gain, of_preload, r**2 * own.inertance
         if own.of_states is None or own.rates is None:
             return Line(*slopes)
@@ -125,8 +125,8 @@ class AtRatio(Part):
         return Line(*slopes, np.asarray(r)[..., None] * own.of_states, factors[..., None, :] * own.rates)
 
     @property
-    def bent(self) -> bool:
-        return self.part.bent or (isinstance(self.table, RatioTable) and bool(np.ptp(self.table.ratio)))
+    def is_nonlinear(self) -> bool:
+        return self.part.is_nonlinear or (isinstance(self.table, RatioTable) and bool(np.ptp(self.table.ratio)))
 
     @property
     def kinked_at_rest(self) -> bool:

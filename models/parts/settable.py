@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from models.characteristics.adjustable_range import CURVED, Damper, check_unlimited
+from models.characteristics.adjustable_range import CURVE_KEYS, Damper, check_unlimited
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.kind import Suspension
@@ -80,7 +80,7 @@ class SetElement(SettablePart):
     without: Part
 
     states, fastest = _of("element", "states"), _of("element", "fastest")
-    line, bent = _of("without", "line"), _of("without", "bent")  # pyright: ignore[reportIncompatibleMethodOverride]
+    line, is_nonlinear = _of("without", "line"), _of("without", "is_nonlinear")  # pyright: ignore[reportIncompatibleMethodOverride]
     range = _of("without", "range")  # pyright: ignore[reportIncompatibleMethodOverride]
     kinked_at_rest = _of("without", "kinked_at_rest")  # pyright: ignore[reportIncompatibleMethodOverride]
 
@@ -119,8 +119,8 @@ class SetElement(SettablePart):
         """Returns the force at voltages u beyond that at other ones, positive if it pushes [N], shape (...)."""
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
-    def ramp(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.ramp`: after yield, without springs."""
+    def force_at(self, v: Array, beyond: Array | float) -> Array:
+        """See `SettablePart.force_at`: after yield, without springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
@@ -191,7 +191,7 @@ def element_dampers(
                 other = dampers[place.force].name
                 raise InputError(f"{what} and [parts.{other}] largest_voltage both take {place.force}; omit one of the two")
             own = place.ending.removeprefix("_")
-            if own in actuators or any(not isinstance(value, Mapping) or key in CURVED for key, value in actuators.items()):
+            if own in actuators or any(not isinstance(value, Mapping) or key in CURVE_KEYS for key, value in actuators.items()):
                 raise InputError(f"{what} and [actuators] both give {place.force}; omit one of the two at this suspension")
             dampers[place.force] = ElementDamper.of(one)
     if dampers:

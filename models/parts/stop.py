@@ -41,7 +41,7 @@ class Stops(Part):
         return self if ratio == 1 else Stops(self.bump.at_wheel(ratio), self.rebound.at_wheel(ratio))
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """True if they push back at all."""
         return self.bump.pushes or self.rebound.pushes
 

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from models.common.errors import InputError, error_in, quoted
+from models.common.errors import InputError, error_in, short_repr
 from models.common.files import path_from
 from models.common.schema import keys, read_text
 from models.roads.description import ROADS
@@ -102,7 +102,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     if kind == "rig":
         return RoadChoice(text, _rig(where, text, folder))
     if file:
-        return RoadChoice(text, _measured(where, file["path"], file["suffix"].lower() == "crg", file["settings"], folder))
+        return RoadChoice(text, _road_of_file(where, file["path"], file["suffix"].lower() == "crg", file["settings"], folder))
     if kind not in ROAD_KINDS:
         raise InputError((text and _unread(text, folder)) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     names = Iso8608.settings if kind == "iso8608" else [name for name in keys(ROADS[kind]) if name != "speed"]
@@ -118,12 +118,12 @@ def _unread(text: str, folder: Path) -> str:
         return ""
     if path.is_dir():
         return f"road {text!r} is a folder ({READ}); give a file in this folder"
-    what = f"{quoted(path.suffix)} files cannot be read" if path.suffix else "its name has no ending"
+    what = f"{short_repr(path.suffix)} files cannot be read" if path.suffix else "its name has no ending"
     rpc = RPC if path.suffix.lower() in (".rsp", ".drv") else ""
     return f"road {text!r}: the file exists, but {what} ({READ}); rename or convert the file{rpc}"
 
 
-def _measured(where: str, name: str, crg: bool, settings: str, folder: Path) -> Profile | Surface:
+def _road_of_file(where: str, name: str, crg: bool, settings: str, folder: Path) -> Profile | Surface:
     """Returns the road of a file."""
     from models.roads.profile_file import TableSettings, read_profile
 

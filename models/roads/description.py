@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from models.common.checks import check
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.schema import read
 from models.roads.iso8608 import Iso8608
 from models.roads.load_choice import described_loads
@@ -17,12 +17,12 @@ from models.roads.road import Obstacle, Road, ScaledRoad
 from models.roads.sinusoids import MULTISINES, Multisine
 from models.vehicle.names import PLUS
 
-Described = Obstacle | Iso8608 | Multisine
-ROADS: Mapping[str, type[Described]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
+DescribedRoad = Obstacle | Iso8608 | Multisine
+ROADS: Mapping[str, type[DescribedRoad]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
 SAME = 1e-12  # relative rounding of numbers that follow from others
 
 
-def read_road(where: str, table: Mapping[str, Any]) -> Described:
+def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
     """Returns the road of a table.
 
     Args:
@@ -33,8 +33,8 @@ def read_road(where: str, table: Mapping[str, Any]) -> Described:
     """
     kind = table.get("type")
     if not isinstance(kind, str) or kind not in ROADS:
-        wrong = "has no type; give one of" if kind is None else f"type = {quoted(kind)} is unknown; known types are"
-        raise InputError(f"{where} {wrong} {listing(ROADS)}")
+        wrong = "has no type; give one of" if kind is None else f"type = {short_repr(kind)} is unknown; known types are"
+        raise InputError(f"{where} {wrong} {list_names(ROADS)}")
     fields = {name: value for name, value in table.items() if name != "type"}
     return read(where, ROADS[kind], fields | ({"name": kind} if kind in MULTISINES else {}))
 

@@ -33,7 +33,7 @@ from models.vehicle.vehicle import Vehicle
 SPEED = 80 / 3.6  # m/s
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
 BASE = 0.25  # m, length of the moving average
-SETTLED = 100.0  # m, after which 1e-5 is left of the start
+SETTLING_DISTANCE = 100.0  # m, after which 1e-5 is left of the start
 FORGOTTEN = 1e-18  # relative decay at which a response is cut off, below rounding
 
 # States are z_s, z_s', z_u, z_u', each over the distance as the profile's slope is, of which they are the response.
@@ -96,19 +96,23 @@ def missing(lines: Array, variances: Array) -> Array:
     Lines and places are evenly spaced, so that the sum over lines of the products of both is a Fourier transform.
 
     Args:
-        lines: spatial frequencies of a random road, in multiples of 1 / `COUNTED` cycle/m, ascending integers > 0, shape (F,).
+        lines: spatial frequencies of a random road, in multiples of 1 / `COUNTED_LINES` cycle/m, ascending integers > 0, shape
+            (F,).
         variances: variance of the road's slope at each frequency, shape (F,).
     """
     rates, of_slopes, of_start = _modes(STEP)
-    base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED
+    base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
     turn = np.exp(way * STEP)
     before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))  # had it always been on its way, behind sample 0
     averaged = (turn**base - 1) / (way * base * STEP)
     start = (turn ** (first - 1) - 1) / (way * first * STEP)
     away, moving = start[:, None] * of_start - (averaged / turn)[:, None] * before, averaged * before.sum(axis=-1)
 
-    at = np.arange(0, math.ceil(SETTLED / STEP), base)
-    modes, period = np.exp(np.outer(at + 1, rates)), round(COUNTED / (base * STEP))  # lines until the same phases come again
+    at = np.arange(0, math.ceil(SETTLING_DISTANCE / STEP), base)
+    modes, period = (
+        np.exp(np.outer(at + 1, rates)),
+        round(COUNTED_LINES / (base * STEP)),
+    )  # lines until the same phases come again
     folded = np.zeros((-(-(int(lines[-1]) + 1) // period) * period, len(rates)), dtype=complex)
     folded[lines] = away * (variances * np.conj(moving))[:, None]
     both = np.fft.fft(folded.reshape(-1, period, len(rates)).sum(axis=0), axis=0)[: len(at)]
@@ -155,7 +159,7 @@ EVEN = 0.01  # of the spacing: so far may the rounding of distances or coordinat
 ROUNDING = 1e-6  # relative, of the coarsest spacing
 SHORTEST = START + BASE  # m; a shorter profile has no IRI
 LONGEST = 1e5  # m, evaluated at most
-COUNTED = 512.0  # lines per cycle/m for the start, which is over in a fifth of 512 m
+COUNTED_LINES = 512.0  # lines per cycle/m for the start, which is over in a fifth of 512 m
 GRAIN = 4096.0  # lines per cycle/m of a spectrum: a car forgets within a tenth of 4096 m
 LINES = 8192  # per cycle/m, of integrals over a spectrum, whose resonances are a hundred times as wide
 
@@ -188,7 +192,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
         return ()
     road = _without_loads(road)
     width = track_width(vehicle)
-    step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
+    step, tracks = _sample_tracks(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
     if step > COARSEST * (1 + ROUNDING) or len(tracks) * step <= SHORTEST:
         return ()
     values = {"left": roughness_index(tracks[:, 0], step)}
@@ -197,7 +201,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
         values |= {"mean": (values["left"] + values["right"]) / 2, "half_car": roughness_index(tracks.mean(axis=1), step)}
     if (spectrum := road.spectrum) is None:
         return tuple(Roughness(name, iri) for name, iri in values.items())
-    expected = _expected(spectrum, len(tracks) * step, tuple(values))
+    expected = _expected_indices(spectrum, len(tracks) * step, tuple(values))
     return tuple(Roughness(name, iri, *expected[name]) for name, iri in values.items())
 
 
@@ -234,7 +238,7 @@ def _unit_variance(low: float, high: float, waviness: float) -> float:
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count
 
 
-def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
+def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
     """Returns the spacing of samples [m], and the heights under the tracks of a road [m], shape (P, tracks)."""
     if isinstance(road, Profile):
         spacing = np.diff(road.distance)
@@ -248,7 +252,7 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
 
 
 @lru_cache(maxsize=16)
-def _expected(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
     """Returns mean and standard deviation of the named IRIs over roads of a spectrum, for a driven distance [m].
 
     A road's lines have fixed amplitudes, unlike those of a Gaussian signal: over its whole length its mean square is known. The
@@ -281,7 +285,7 @@ def _expected(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> di
             of_more += times * variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1 - rho**2 / 2))
         squares = own**2 + other**2
         left = 1 - (1 - float(squares @ free) / float(squares.sum())) * distance / spectrum.length
-        begun = 1 - _lost(low, high, distance) / distance
+        begun = 1 - _start_distance(low, high, distance) / distance
         return 1e3 * math.sqrt(2 / math.pi * variance) * begun, 1e3 * math.sqrt(max(of_squares * left, 0.0) + max(of_more, 0.0))
 
     both = lines * (1 + a) / 2
@@ -294,7 +298,7 @@ def _expected(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> di
     return {name: moments(*parts[name]) for name in names}
 
 
-def _lost(low: float, high: float, distance: float) -> float:
+def _start_distance(low: float, high: float, distance: float) -> float:
     """Returns the distance that the start takes off the mean [m]: for white slopes, and nearly so for two tracks' mean."""
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])
@@ -302,5 +306,5 @@ def _lost(low: float, high: float, distance: float) -> float:
 
 @lru_cache(maxsize=16)
 def _ways_lost(low: float, high: float) -> Array:
-    lines = np.arange(math.ceil(low * COUNTED), math.floor(high * COUNTED) + 1)
+    lines = np.arange(math.ceil(low * COUNTED_LINES), math.floor(high * COUNTED_LINES) + 1)
     return missing(lines, np.ones(len(lines)))

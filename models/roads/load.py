@@ -60,11 +60,11 @@ class Load(ABC):
 
     @property
     @abstractmethod
-    def ways(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """Names of the body's loads that it acts on."""
 
     @abstractmethod
-    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+    def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns its force [N] and moments [N m] at times t [s], by the names of the loads that it makes.
 
         Args:
@@ -73,9 +73,9 @@ class Load(ABC):
             kind: kind of the vehicle, whose links may carry part of the load to the wheels; None for the force and moments alone.
         """
 
-    def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns what physics holds over steps, by their middle times t [s], see `over`: the values at t."""
-        return self.over(t, p, kind)
+    def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+        """Returns what physics holds over steps, by their middle times t [s], see `at`: the values at t."""
+        return self.at(t, p, kind)
 
     @abstractmethod
     def scaled(self, factor: float) -> "Load":
@@ -83,7 +83,7 @@ class Load(ABC):
 
 
 @dataclass(frozen=True)
-class Ramped(Section, Load):
+class RampedLoad(Section, Load):
     """Load that rises, stays and falls: half periods of a cosine up and down.
 
     Raises:
@@ -126,7 +126,7 @@ class Ramped(Section, Load):
         """Returns way, force and acceleration as `VehicleKind.carried` takes them; None for a load that links do not feel."""
         return None
 
-    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+    def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns the amplitudes over time; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
@@ -139,7 +139,7 @@ class Ramped(Section, Load):
         return {name: amplitude * share for name, amplitude in full.items()}
 
 
-NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
+MOMENT_PARAMETERS = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
 
 
 def _mass(p: Parameters) -> float:
@@ -147,7 +147,7 @@ def _mass(p: Parameters) -> float:
     return p["sprung_mass"] + p.get("seat_mass", 0.0)
 
 
-class _Inertial(Ramped):
+class _Inertial(RampedLoad):
     """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
 
     way: ClassVar[str]
@@ -155,15 +155,16 @@ class _Inertial(Ramped):
     g: float
 
     @property
-    def ways(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """Name of its moment."""
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns one moment, m_s a h [N m]."""
-        if absent := [name for name in NEEDED if name not in p]:
+        if absent := [name for name in MOMENT_PARAMETERS if name not in p]:
             raise InputError(
-                f"load {self.kind} needs {' and '.join(map(repr, NEEDED))} for its moment, but this vehicle has no {absent[0]!r}"
+                f"load {self.kind} needs {' and '.join(map(repr, MOMENT_PARAMETERS))} for its moment, but this vehicle has no "
+                f"{absent[0]!r}"
             )
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
@@ -196,25 +197,25 @@ class Cornering(_Inertial):
     hold: Hold = math.inf
 
 
-def _pushed(force: float, x: float, y: float) -> dict[str, float]:
+def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
     """Returns a vertical force [N] at a place [m] with its moments; without zero ones, as some vehicles have no such motion."""
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
 
-class _Placed(Ramped):
+class _PlacedLoad(RampedLoad):
     """Load by a vertical force at a place on the body."""
 
     x: float
     y: float
 
     @property
-    def ways(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """Names of its force and moments."""
-        return tuple(_pushed(1.0, self.x, self.y))
+        return tuple(_vertical_force(1.0, self.x, self.y))
 
 
 @dataclass(frozen=True)
-class Payload(_Placed):
+class Payload(_PlacedLoad):
     """Added weight."""
 
     kind: ClassVar[str] = "payload"
@@ -228,11 +229,11 @@ class Payload(_Placed):
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force down, and its moments."""
-        return _pushed(-self.mass * GRAVITY, self.x, self.y)
+        return _vertical_force(-self.mass * GRAVITY, self.x, self.y)
 
 
 @dataclass(frozen=True)
-class Lift(_Placed):
+class Lift(_PlacedLoad):
     """Aerodynamic lift."""
 
     kind: ClassVar[str] = "lift"
@@ -246,11 +247,11 @@ class Lift(_Placed):
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force up, and its moments."""
-        return _pushed(self.force, self.x, self.y)
+        return _vertical_force(self.force, self.x, self.y)
 
 
 @dataclass(frozen=True)
-class Gust(Ramped):
+class Gust(RampedLoad):
     """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right."""
 
     kind: ClassVar[str] = "gust"
@@ -262,7 +263,7 @@ class Gust(Ramped):
     hold: Hold = 0.0
 
     @property
-    def ways(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """Name of its moment."""
         return (ROLL,)
 
@@ -275,4 +276,4 @@ class Gust(Ramped):
         return ROLL, self.force, 0.0
 
 
-LOADS: Mapping[str, type[Ramped]] = {load.kind: load for load in (Brake, Cornering, Payload, Lift, Gust)}
+LOADS: Mapping[str, type[RampedLoad]] = {load.kind: load for load in (Brake, Cornering, Payload, Lift, Gust)}

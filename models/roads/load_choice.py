@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing
+from models.common.errors import InputError, error_in, list_names
 from models.common.files import path_from, reading
 from models.common.schema import read_text
 from models.common.table import find_table
@@ -60,15 +60,15 @@ class History(Load):
         return tuple(self.time.tolist())
 
     @property
-    def ways(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """Names of its columns' loads."""
         return tuple(NAMES[name] for name in self.columns)
 
-    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+    def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns the interpolated values; see `Load`."""
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 
-    def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+    def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns means over the steps, as points may be closer."""
         return {
             NAMES[name]: means(lambda at, column=column: np.interp(at, self.time, column), self.time, t, timestep)
@@ -80,7 +80,7 @@ class History(Load):
         return replace(self, columns={name: factor * column for name, column in self.columns.items()})
 
 
-def named(path: Path | str) -> str:
+def check_file_name(path: Path | str) -> str:
     """Returns a file's name for a description, without `;` and ` + `, which separate parts there."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
@@ -95,7 +95,7 @@ def _history(text: str, source: str) -> History:
     table = find_table(text, GIVE)
     values = table.quantities(("time", *NAMES))
     if "time" not in values or len(values) < 2:
-        raise InputError(f"the file has only the columns {listing(values)}; {GIVE}")
+        raise InputError(f"the file has only the columns {list_names(values)}; {GIVE}")
     lines = [line for line, _ in table.rows()]
     if not 2 <= len(lines) <= MOST_ROWS:
         raise InputError(f"the file has {len(lines)} row(s) of numbers; give 2 to {MOST_ROWS} rows")
@@ -123,7 +123,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     if is_load_file(text):
         path = path_from(text.strip(), folder)
         with reading(path, "load file", GIVE):
-            return _history(path.read_text(encoding="utf-8-sig"), named(path))
+            return _history(path.read_text(encoding="utf-8-sig"), check_file_name(path))
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")

@@ -52,17 +52,17 @@ class RoadWithLoads(DerivedRoad):
         Raises:
             InputError: the vehicle has no such motion.
         """
-        return self._sum(vehicle, t, lambda load: load.over(t, vehicle.parameters, vehicle.kind))
+        return self._sum(vehicle, t, lambda load: load.at(t, vehicle.parameters, vehicle.kind))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
         """Returns the sum of the loads that are held; see `Road`."""
-        return self._sum(vehicle, t, lambda load: load.held(t, timestep, vehicle.parameters, vehicle.kind))
+        return self._sum(vehicle, t, lambda load: load.step_means(t, timestep, vehicle.parameters, vehicle.kind))
 
     def _sum(self, vehicle: Vehicle, t: Array, values_of: Callable[[Load], Mapping[str, Array]]) -> Array:
         names = [load.name for load in vehicle.kind.loads]
         total = np.zeros((len(t), len(names)))
         for load in self.on_body:
-            for name in load.ways:
+            for name in load.directions:
                 if name not in names:
                     able = " and ".join(WAYS[way] for way in names) if names else "has no body on which loads act"
                     raise InputError(

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.files import reading
 from models.common.printed import percent, rough
 from models.common.quantities import UNREAD, Heading, columns_in_words, left_out_words
@@ -41,7 +41,7 @@ RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "
 SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
 A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
 WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
-STEPPED = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
+STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
 LIKE_DISTANCE = (0.2, 5.0)  # slopes of a column over its row's distance, in any units of length, that no road has all along
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
@@ -60,7 +60,7 @@ SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and o
 def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
     """Returns the columns, from 0, of a text with their numbers from 1, as in 1,3."""
     if not isinstance(value, str) or not COLUMNS.fullmatch(value):
-        raise InputError(f"{HERE} = {quoted(value)} is not allowed; {GIVE_COLUMNS}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not allowed; {GIVE_COLUMNS}")
     return tuple(int(column) - 1 for column in value.split(","))
 
 
@@ -127,7 +127,7 @@ def _profile(text: str, speed: float, source: str, given: TableSettings) -> Prof
     heights = points[:, [-len(scales), -1]] * [scales[0], scales[-1]]
     if step is not None:
         if len(used) == 2 and not wanted and not headings[used[0]].quantity and _is_distance(points[:, 0], step):
-            raise InputError(STEPPED)
+            raise InputError(STEP_REFUSAL)
         distance = step * np.arange(len(points))
     elif path:
         distance, said = _path(table, [headings[i] for i in place], unit, bool(wanted))
@@ -166,13 +166,13 @@ def choose_columns(
     names = [heading.quantity for heading in headings]
     for name in READ if not wanted else ():
         if names.count(name) > 1:
-            texts = " and ".join(f"{one.column}, {quoted(one.text)}" for one in headings if one.quantity == name)
+            texts = " and ".join(f"{one.column}, {short_repr(one.text)}" for one in headings if one.quantity == name)
             raise InputError(f"columns {texts}, both contain {name}; {SAY}")
     if stepped:
         heights = [names.index(name) for name in ("left", "right", "height") if name in names]
         used = wanted or heights[:2] or range(len(headings))
         if len(used) > 2 or (not wanted and "distance" in names):
-            raise InputError(STEPPED)
+            raise InputError(STEP_REFUSAL)
         return used
     if not wanted and {"distance", "left", "right"} <= {*names}:
         return [names.index(name) for name in ("distance", "left", "right")]
@@ -183,9 +183,9 @@ def choose_columns(
         which = f"{FORMAT}, or choose columns, as in :columns=1,4"
         raise InputError(f"line {table.first + 1} has {table.count} column(s); {which}{A_RIG}")
     for i, allowed in zip(used, (("distance",), *TRACKS[len(used)]), strict=True):
-        column = f"column {i + 1} is called {quoted(headings[i].text)}"
+        column = f"column {i + 1} is called {short_repr(headings[i].text)}"
         if headings[i].name and not names[i] and not wanted:
-            raise InputError(f"{column}, but the columns that are read are {listing(READ)}; {SAY}{A_RIG}")
+            raise InputError(f"{column}, but the columns that are read are {list_names(READ)}; {SAY}{A_RIG}")
         if names[i] and names[i] not in allowed:
             role = f"the height of the {allowed[1]} track" if len(allowed) == 2 else allowed[0]
             raise InputError(f"{column}, but would be read as {role}; {SAY}{A_RIG}")
@@ -222,7 +222,9 @@ def rdf_text(text: str) -> str:
     lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
     if (kind := values.get("ROAD_TYPE", "")) != "poly_line":
-        raise InputError(f"ROAD_TYPE = {quoted(kind)} cannot be read; give a road of type 'poly_line', or a .csv file of heights")
+        raise InputError(
+            f"ROAD_TYPE = {short_repr(kind)} cannot be read; give a road of type 'poly_line', or a .csv file of heights"
+        )
     marks = [i for i, line in enumerate(lines) if line.upper() == RDF]
     if not marks:
         raise InputError(f"the file has no table {RDF} of distance, left and right height; give the whole file")
@@ -303,7 +305,7 @@ def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Arr
         length = float(_path(table, headings, "", ragged)[0][-1]) if headings else 0.0
     if not length or abs(length - own) <= DIFFERENT * own:
         return []
-    column, columns = f"column {heading.column} ({quoted(heading.text)})", columns_in_words(headings)
+    column, columns = f"column {heading.column} ({short_repr(heading.text)})", columns_in_words(headings)
     found = f"{column} is {rough(own)} m long, but the path through {columns} is {rough(length)} m long"
     if max(own, length) > OTHER * min(own, length):
         raise InputError(f"{found}; remove one of them, or choose the columns of distance and height, as in :columns=3,4")

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.quantities import CORNERS
 from models.kinds.kind import Parameters, Wheel
 from models.roads.profile import check_ascending, read_points
@@ -68,7 +68,7 @@ class Rig(MeasuredRoad):
         for post in self.posts:
             if post_name(post) in _names(wheel):
                 return post
-        raise InputError(f"no column is called {_names(wheel)[0]} like the wheel; the columns are {listing(self.posts[:20])}")
+        raise InputError(f"no column is called {_names(wheel)[0]} like the wheel; the columns are {list_names(self.posts[:20])}")
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns zero: the vehicle stands."""
@@ -119,7 +119,8 @@ class Rig(MeasuredRoad):
             if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
-                    f"column {quoted(post)} does not belong to a wheel of this vehicle; omit it, or give one of {listing(names)}"
+                    f"column {short_repr(post)} does not belong to a wheel of this vehicle; omit it, or give one of "
+                    f"{list_names(names)}"
                 )
         super().check(vehicle, time)
 
@@ -183,9 +184,11 @@ def check_posts(posts: Sequence[str]) -> None:
     for post in posts:
         name = post_name(post)
         if not name or "," in name:
-            raise InputError(f"a column is called {quoted(post)}; give this column the name of the wheel on this post")
+            raise InputError(f"a column is called {short_repr(post)}; give this column the name of the wheel on this post")
         if name in seen:
-            raise InputError(f"the columns {quoted(seen[name])} and {quoted(post)} belong to the same wheel; remove one of them")
+            raise InputError(
+                f"the columns {short_repr(seen[name])} and {short_repr(post)} belong to the same wheel; remove one of them"
+            )
         seen[name] = post
 
 

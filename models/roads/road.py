@@ -14,7 +14,7 @@ from models.common.checks import check_fields
 from models.common.errors import InputError
 from models.common.schema import SI, Choice, Section, keys
 from models.kinds.kind import Parameters, Wheel
-from models.kinds.plausibility import Known, remarks
+from models.kinds.plausibility import KnownQuantity, remarks
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
 
@@ -75,10 +75,10 @@ class Road(ABC):
         return self
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Remarks on numbers that are probably in another unit: a speed, or the height of an obstacle."""
-        heights = ({"obstacle": Known(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
-        return remarks([{"speed": Known("speed", self.speed, "m/s")}, *heights])
+        heights = ({"obstacle": KnownQuantity(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
+        return remarks([{"speed": KnownQuantity("speed", self.speed, "m/s")}, *heights])
 
     @property
     def loaded(self) -> bool:
@@ -263,9 +263,9 @@ class DerivedRoad(Road):
         return self.road.kinks
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Remarks on the road."""
-        return self.road.doubts
+        return self.road.warnings
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
@@ -501,12 +501,12 @@ class RoadInput:
         return self.road.loaded
 
     @property
-    def pushed(self) -> bool:
+    def has_held_inputs(self) -> bool:
         """True if something held acts beside the road's heights: loads, or its velocities through tyres that damp."""
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
-    def felt(self) -> Road:
+    def relative_road(self) -> Road:
         """The road measured from the steady motion."""
         return self.road.from_start
 
@@ -519,11 +519,11 @@ class RoadInput:
         Args:
             time: times [s], shape (T,).
         """
-        if not isinstance(self.felt, Departure):
+        if not isinstance(self.relative_road, Departure):
             return None
-        start, model, kind = self.felt.road.start, self.vehicle.linear_model, self.vehicle.kind
-        z = under_wheels(lambda t, side: start(side)[0] + start(side)[1] * t, self.felt, self.vehicle, time)
-        w = under_wheels(lambda t, side: np.full(np.shape(t), start(side)[1]), self.felt, self.vehicle, time)
+        start, model, kind = self.relative_road.road.start, self.vehicle.linear_model, self.vehicle.kind
+        z = under_wheels(lambda t, side: start(side)[0] + start(side)[1] * t, self.relative_road, self.vehicle, time)
+        w = under_wheels(lambda t, side: np.full(np.shape(t), start(side)[1]), self.relative_road, self.vehicle, time)
         state = np.linalg.lstsq(model.A, -(model.Bw @ w[0] + model.Br @ z[0]))[0] if len(time) else np.zeros(len(model.A))
         state[np.abs(state) <= STEADY * np.abs(state).max(initial=0.0)] = 0.0
         outputs = model.C @ state + z @ model.Cr.T + w @ model.Dw.T
@@ -537,7 +537,7 @@ class RoadInput:
     @cached_property
     def heights(self) -> Array:
         """Heights under the wheels at the samples [m], shape (T, r)."""
-        return under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time)
+        return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, self.time)
 
     @cached_property
     def midway(self) -> Array:
@@ -546,12 +546,14 @@ class RoadInput:
 
     def held_heights(self, middle: Array) -> Array:
         """Returns heights at which MuJoCo holds the road [m], shape (T, r), over steps with these middle times [s]."""
-        return under_wheels(lambda t, side: self.felt.held(t, self.timestep, side), self.felt, self.vehicle, middle)
+        return under_wheels(
+            lambda t, side: self.relative_road.held(t, self.timestep, side), self.relative_road, self.vehicle, middle
+        )
 
     @cached_property
     def velocities(self) -> Array:
         """Rates of the heights at the samples [m/s], shape (T, r)."""
-        return under_wheels(self.felt.velocity, self.felt, self.vehicle, self.time)
+        return under_wheels(self.relative_road.velocity, self.relative_road, self.vehicle, self.time)
 
     @cached_property
     def loads(self) -> Array:
@@ -569,7 +571,7 @@ class RoadInput:
 
         With them a tyre's damping has the impulse c dz of every step, also over a kink or an edge.
         """
-        end = under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time[-1:] + self.timestep)
+        end = under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, self.time[-1:] + self.timestep)
         return np.diff(self.heights, axis=0, append=end) / self.timestep
 
     @cached_property
@@ -609,7 +611,7 @@ class RoadInput:
     def ahead(self, count: int) -> Array:
         """Returns heights under the wheels at so many further samples after the last [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
-        return under_wheels(self.felt.displacement, self.felt, self.vehicle, after)
+        return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 
     def scaled(self, share: float) -> "RoadInput":
         """Returns the input with heights and loads multiplied."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.schema import SI, Choice, Listed, Section
+from models.common.schema import SI, Choice, ListedValues, Section
 from models.roads.road import Obstacle, Road, Speed
 
 Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
@@ -25,9 +25,9 @@ class Multisine(Section, Road):
 
     """
 
-    omega: Annotated[tuple[float, ...], Listed("angular frequencies, F of them", SI("rad/s"))]
-    amplitudes: Annotated[tuple[float, ...], Listed("amplitudes a_i", SI("m", low=-1e9, high=1e9))]
-    phases: Annotated[tuple[float, ...], Listed("phases phi_i", SI("rad", low=-1e12))]
+    omega: Annotated[tuple[float, ...], ListedValues("angular frequencies, F of them", SI("rad/s"))]
+    amplitudes: Annotated[tuple[float, ...], ListedValues("amplitudes a_i", SI("m", low=-1e9, high=1e9))]
+    phases: Annotated[tuple[float, ...], ListedValues("phases phi_i", SI("rad", low=-1e12))]
     speed: Annotated[float, SI("m/s", "speed of the vehicle", 0.0)] = 12.5
     name: Annotated[str, Choice("name in a log", MULTISINES)] = MULTISINES[0]
 

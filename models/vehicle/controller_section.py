@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.printed import size
 from models.common.schema import SI, Choice, ReadBy, Text
 from models.laws.design_methods import DESIGNS, PATTERNS, PREVIEW
@@ -46,7 +46,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
             raise InputError(f"has both pid and {matrices[0]}, but a controller has only one law; omit one of them")
         if matrices and (missing := [key for key in MATRICES if key not in matrices]):
             raise InputError(
-                f"{listing(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
+                f"{list_names(missing)} is missing, but x_c' = A x_c + B y, u = C x_c + D y needs A, B, C and D; give all four"
             )
         GivenSection.__post_init__(self)
         if self.preview is not None and self.law is None and self.design != PREVIEW:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, alike, error_in, listing, quoted
+from models.common.errors import InputError, alike, error_in, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.printed import size
 from models.common.schema import HERE, AnyTable, BySignal, Choice, Flag, ReadBy, keys, read
@@ -23,16 +23,16 @@ from models.laws.law import Design, T, no_design
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import NO_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import PUSHING
+from models.vehicle.sections import PUSHING_ACTUATORS
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
-    from models.laws.python_law import Programmed, PythonLaw
+    from models.laws.python_law import PythonController, PythonLaw
     from models.laws.semi_active import SemiActive, SemiActiveLaw
     from models.laws.weighted_errors import WeightedErrors
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
-RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+RESERVED_NAMES = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 
 
 @dataclass(frozen=True)
@@ -118,19 +118,21 @@ class ControllerEntry:
         parts = section_parts(given | {"study": self.study}, ())
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
-    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | Programmed | SemiActive":
+    def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
         """Returns the controller; arguments and errors are those of `LawSource.driver`."""
         return self.source.driver(self.name, self.measured, design, read)
 
 
-def _measured(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
+def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
     """Returns the measured signals."""
-    measurable, study = listing(context["measurable"]), context.get("study", False)
+    measurable, study = list_names(context["measurable"]), context.get("study", False)
     if not isinstance(value, list | tuple) or not value or not all(isinstance(signal, str) for signal in value):
-        raise InputError(f"{HERE} = {quoted(value)} is not a list of signals; give a list of signals from {measurable}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not a list of signals; give a list of signals from {measurable}")
     for signal in value:
         if signal not in context["signals"]:
-            raise InputError(f"{HERE}: unknown signal {quoted(signal)}; measurable are {alike(signal, context['measurable'])}")
+            raise InputError(
+                f"{HERE}: unknown signal {short_repr(signal)}; measurable are {alike(signal, context['measurable'])}"
+            )
         if value.count(signal) > 1:
             raise InputError(f"{HERE} contains {signal!r} twice; list this signal once")
         if signal in context["heights"] and not study:
@@ -152,7 +154,7 @@ def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[f
     """Returns rows of numbers; `give` ends the message for another value."""
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
-        raise InputError(f"{HERE} = {quoted(value)} is not a matrix of numbers; {give}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not a matrix of numbers; {give}")
     return tuple(tuple(float(x) for x in row) for row in rows)
 
 
@@ -176,7 +178,7 @@ class SignalSection(Demands):
     """The measured signals, which other keys of a controller's section refer to."""
 
     study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
-    measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured, allowed=NAMES)] = ()
+    measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured_signals, allowed=NAMES)] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +193,9 @@ class GivenSection(SignalSection):
     lag: Annotated[bool, Flag("design for the lag of `[limits]`", " (other sections define the amount)")] = False
     sampled: Annotated[bool, Flag("design for the sampled-data loop, or not; default: `[implementation]`")] | None = None
     loads: Annotated[Mapping[str, float], BySignal("loads that count as much as 1 m/s of road", "loads", SMALLEST)] | None = None
-    actuators: Annotated[str, Choice("force actuators instead of semi-active dampers", (PUSHING,), OTHERWISE)] | None = None
+    actuators: (
+        Annotated[str, Choice("force actuators instead of semi-active dampers", (PUSHING_ACTUATORS,), OTHERWISE)] | None
+    ) = None
 
     def __post_init__(self) -> None:
         if self.certificate is not None and not self.given:
@@ -261,7 +265,7 @@ def read_controllers(
         where = f"[controllers.{name}]"
         if name in controllers:
             raise InputError(f"{where} appears twice, in two spellings that look the same; rename one of the two")
-        check_name(where, name, RESERVED)
+        check_name(where, name, RESERVED_NAMES)
         if not isinstance(given, Mapping) and written in keys(FEATURES.load("all keys of controllers").ControllerSection):
             raise InputError(f"[controllers] {written} is a key of a single controller; write it in a section [controllers.NAME]")
         parts = section_parts(given, model.inputs) if isinstance(given, Mapping) else {}
@@ -299,7 +303,7 @@ def _entry(
     semi_active = asked.semi_active_law([key for key in given if key != "actuators"], model.outputs, model.inputs, dampers)
     if semi_active is not None:
         return ControllerEntry(name, semi_active.measured, semi_active, forced=forced)
-    of_state, python, measurable = asked.design in OF_STATE, asked.program(folder), listing(model.measurable)
+    of_state, python, measurable = asked.design in OF_STATE, asked.program(folder), list_names(model.measurable)
     measured = asked.measured or (model.states if of_state else ())
     if not measured:
         raise InputError(f"measured is missing; give a list of signals from {measurable}")
@@ -308,8 +312,8 @@ def _entry(
     if of_state and set(measured) != set(model.states):
         instead = ', or give design = "lqg"' if asked.design == "lqr" else ""
         raise InputError(
-            f'measured = {quoted([*measured])} is not allowed, because design = "{asked.design}" uses the full state, '
-            f"{listing(model.states)}; omit measured{instead}"
+            f'measured = {short_repr([*measured])} is not allowed, because design = "{asked.design}" uses the full state, '
+            f"{list_names(model.states)}; omit measured{instead}"
         )
     if asked.design == PREVIEW and dampers:
         raise InputError(

@@ -8,9 +8,9 @@ from models.characteristics.curve_reading import DamperTable, SpringTable, Surfa
 from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stop_section import StopSection
 from models.characteristics.stops import places_of
-from models.common.schema import NUMBER, Section, described, json_schema
+from models.common.schema import NUMBER, Section, described_key, json_schema
 from models.kinds.seat import Seat
-from models.kinds.seated_kind import seated
+from models.kinds.seated_kind import seated_kind
 from models.laws.filter import FilterSection
 from models.parts.element import PartSite, element_kinds
 from models.vehicle.controller_section import ControllerSection
@@ -20,7 +20,7 @@ from models.vehicle.sections import ROAD, WEIGHT, WeightSection
 from models.vehicle.vehicle import LIFTED, PLANES, VehicleFile, kind
 
 TABLE = {"type": "object"}
-WEIGHTED = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
+WEIGHTED_SIGNAL = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
 
 
 def file_schema(name: str) -> dict[str, Any]:
@@ -29,8 +29,8 @@ def file_schema(name: str) -> dict[str, Any]:
     Args:
         name: type of the vehicle, such as "quarter_car".
     """
-    plain, known = kind(name), seated(kind(name))
-    parameters = {one.name: described(one.number.json, one.meaning, one.unit) for one in plain.parameters}
+    plain, known = kind(name), seated_kind(kind(name))
+    parameters = {one.name: described_key(one.number.json, one.meaning, one.unit) for one in plain.parameters}
     seat = json_schema(Seat)
     own = {one.name.removeprefix("seat_") for one in known.parameters[len(plain.parameters) :]}
     seat["properties"] = {key: one for key, one in seat["properties"].items() if key in own}
@@ -43,7 +43,7 @@ def file_schema(name: str) -> dict[str, Any]:
         one |= {"properties": dict.fromkeys(signals, one["additionalProperties"]), "additionalProperties": False}
     controller = json_schema(ControllerSection)
     controller["properties"]["measured"] |= {"items": {"anyOf": [{"enum": signals}, {"type": "string"}]}}
-    weights = {one.name: described(WEIGHTED, one.meaning, one.unit) for one in known.possible.values()}
+    weights = {one.name: described_key(WEIGHTED_SIGNAL, one.meaning, one.unit) for one in known.possible.values()}
     tables = {"damping": (DamperTable, SurfaceTable), "stiffness": (SpringTable,), "ratio": (RatioSection,)}
     curves = {
         getattr(part, of): {"anyOf": [*schemas, {"type": "array", "items": {"anyOf": [*schemas, NUMBER]}}]}
@@ -52,11 +52,14 @@ def file_schema(name: str) -> dict[str, Any]:
         if getattr(part, of) and (schemas := [json_schema(one) for one in sections])
     }
     needed = [one.name for one in plain.parameters if one.usual is None and not one.optional and one.name not in curves]
-    lifted = described(NUMBER, "height by which the whole vehicle is lifted above the road at the start of a run", "m")
-    states = {each: described(NUMBER, f"{one.meaning}, at the start of a run", one.unit) for each, one in known.possible.items()}
+    lifted = described_key(NUMBER, "height by which the whole vehicle is lifted above the road at the start of a run", "m")
+    states = {
+        each: described_key(NUMBER, f"{one.meaning}, at the start of a run", one.unit) for each, one in known.possible.items()
+    }
     sections = {
         "parameters": TABLE | {"properties": parameters, "required": needed, "additionalProperties": False},
-        "performance": TABLE | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED},
+        "performance": TABLE
+        | {"properties": weights | {ROAD: json_schema(FilterSection)}, "additionalProperties": WEIGHTED_SIGNAL},
         "limits": _with_places(LimitsSection, StopSection, places_of(corners)),
         "implementation": implementation,
         "seat": seat,

@@ -14,12 +14,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.kinds import signals
 from models.laws.python_runtime import Sample
 
 FORCE = signals.CONTROL_FORCE.name
-KNOWN = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
+KNOWN_SIGNALS = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
 CORNERS = ("front", "rear", "left", "right", "front_left", "front_right", "rear_left", "rear_right")
 GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
@@ -57,7 +57,7 @@ class ForeignFmu:
         old, platforms = description.fmiMajorVersion == 2, [path.name for path in Path(self._folder.name, "binaries").glob("*")]
         needed = fmpy.platform if old else fmpy.platform_tuple
         if needed not in platforms:
-            raise InputError(f"the FMU has binaries for {listing(platforms)}, but not for {needed}; export it for {needed}")
+            raise InputError(f"the FMU has binaries for {list_names(platforms)}, but not for {needed}; export it for {needed}")
         with self._errors():
             fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=_log)
             self._fmu, self._end = fmu, weakref.finalize(self, _end, fmu)
@@ -124,19 +124,25 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         {names.get(one.name, one.name): one for one in real if one.causality == kind} for kind in ("input", "output")
     )
     if unknown := [name for name in names if name not in [one.name for one in real]]:
-        raise InputError(f"the FMU has no variable {quoted(unknown[0])}; give one of {listing([one.name for one in real])}")
+        raise InputError(
+            f"the FMU has no variable {short_repr(unknown[0])}; give one of {list_names([one.name for one in real])}"
+        )
     if {*inputs} != {*measured}:
         other = 'list the inputs in `measured`, or give their signals, as in inputs = { In1 = "suspension_deflection" }'
-        raise InputError(f"the FMU has the inputs {listing(inputs)}, but the controller measures {listing(measured)}; {other}")
+        raise InputError(
+            f"the FMU has the inputs {list_names(inputs)}, but the controller measures {list_names(measured)}; {other}"
+        )
     forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        raise InputError(f"its outputs are {listing(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
+        raise InputError(f"its outputs are {list_names(outputs)}; call the forces {FORCE} or {FORCE}_CORNER, or give outputs")
     for one in (*inputs.values(), *forces):
         name = names.get(one.name, one.name)
         unit = one.unit or (one.declaredType and one.declaredType.unit)
-        signal = next((known for known in KNOWN if f"{name}_".startswith(f"{known.name}_")), None)  # or one of its corners
+        signal = next(
+            (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
+        )  # or one of its corners
         if unit and signal and _plain(unit) != signal.unit:
-            raise InputError(f"{one.name} of the FMU has the unit {quoted(unit)}; export it in {signal.unit}")
+            raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces
 
 

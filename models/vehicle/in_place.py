@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from models.characteristics.curve_file import curve_tables
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.files import origin, parse_toml, path_from, reading
 from models.common.table import find_table
 from models.common.toml_edit import Replacement, with_replacements
@@ -110,9 +110,11 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
     for name, entry in _entries(data, "file"):
         where, file = f"[controllers.{name}]", entry["file"]
         if not isinstance(file, str) or not file:
-            raise InputError(f"{where} file = {quoted(file)} is not the name of a file; {GIVE_LAW}")
+            raise InputError(f"{where} file = {short_repr(file)} is not the name of a file; {GIVE_LAW}")
         if others := [key for key in ("gain", "law", "fmu", *MATRICES) if key in entry]:
-            raise InputError(f"{where} has both file and {listing(others)}, but a file contains the whole law; omit one of them")
+            raise InputError(
+                f"{where} has both file and {list_names(others)}, but a file contains the whole law; omit one of them"
+            )
         path = path_from(file, folder)
         with reading(path, f"{where} file", GIVE_LAW):
             content = path.read_bytes()
@@ -120,6 +122,6 @@ def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
             if period is not None:
                 given = in_unit(entry.get("sample_period", period), "s", "sample_period")
                 if given != period:
-                    raise InputError(f"its period is {period:g} s, but sample_period = {quoted(given)}; omit sample_period")
+                    raise InputError(f"its period is {period:g} s, but sample_period = {short_repr(given)}; omit sample_period")
                 law |= {} if "sample_period" in entry else {"sample_period": period}
         yield Replacement(("controllers", name, "file"), law, origin(file, content), (path,))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from models.common.errors import InputError
 from models.vehicle.controllers import ControllerEntry
 
-SAMPLED = "a sampled controller returns only the sum of its samples to zero, so the integral has no norm"
+SAMPLED_REFUSAL = "a sampled controller returns only the sum of its samples to zero, so the integral has no norm"
 
 
 def check_integrals(
@@ -31,7 +31,7 @@ def check_integrals(
     # Only a law that measures the whole integrated signal integrates the noise on this signal.
     integrated = [name for terms in integrals.values() if {*terms} <= {*entry.measured} for name in terms if noisy.get(name)]
     refused = {
-        f"{SAMPLED}; omit sampled": sampled or request.sampled,
+        f"{SAMPLED_REFUSAL}; omit sampled": sampled or request.sampled,
         "the law measures heights above a flat datum, which cannot return the integral to zero": entry.study,
         "goals are for static gains, which contain no integral; give a design or an order instead": entry.goals is not None,
         "tolerance has an error that depends on frequency; give this error as a number, or omit the pole at 0": entry.errors,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array, real_matrix
-from models.common.errors import InputError, first_few, listing, quoted
+from models.common.errors import InputError, first_few, list_names, short_repr
 from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
@@ -35,9 +35,11 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
     if {"A", "B", "C"} & {*matrices}:
         missing = [name for name in MATRICES if name not in matrices]
         if missing:
-            raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
+            raise InputError(f"{list_names(missing)} is missing in {where}; give A, B, C and D, or K alone")
     if "K" in matrices and {*MATRICES} & {*matrices}:
-        raise InputError(f"{where} has both K and {listing({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D")
+        raise InputError(
+            f"{where} has both K and {list_names({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D"
+        )
     _check_plain(matrices)
     if "A" not in matrices or not matrices["A"].size:
         gain = "K" if "K" in matrices else "D"
@@ -115,7 +117,7 @@ def _check_plain(matrices: Mapping[str, Any]) -> None:
         )
     unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
     if unit not in ("", "seconds"):
-        raise InputError(f"TimeUnit is {quoted(unit)}; in MATLAB, convert to seconds with chgTimeUnit(sys, 'seconds')")
+        raise InputError(f"TimeUnit is {short_repr(unit)}; in MATLAB, convert to seconds with chgTimeUnit(sys, 'seconds')")
 
 
 def _period(matrices: Mapping[str, Any]) -> float | None:
@@ -123,7 +125,7 @@ def _period(matrices: Mapping[str, Any]) -> float | None:
     periods = {name: _numbers(name, matrices[name]) for name in PERIODS if name in matrices}
     for name, value in periods.items():
         if value.size != 1 or value.item() < 0:
-            raise InputError(f"{name} = {quoted(value)} is not a sample period; give seconds, or 0 for a continuous law")
+            raise InputError(f"{name} = {short_repr(value)} is not a sample period; give seconds, or 0 for a continuous law")
     values = {value.item() for value in periods.values()}
     if len(values) > 1:
         raise InputError("the file has two different sample periods, Ts and sample_period; keep one of them")

@@ -12,7 +12,7 @@ from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
 from models.characteristics.stop_section import StopPair, StopSection
 from models.common.arrays import Array
 from models.common.checks import is_finite
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.extensions import FEATURES
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
@@ -167,7 +167,7 @@ def delay_text(delay: float) -> str:
 def _delay(value: Any, context: Mapping[str, Any]) -> float:
     """Returns a delay in samples of the controller, as an int if it is an integer."""
     if not is_finite(value) or not 0 <= value <= MOST_DELAY:
-        raise InputError(f"{HERE} = {quoted(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
     return int(value) if value == int(value) else value
 
 
@@ -314,7 +314,7 @@ class ImplementationSection(Implementation):
         period = in_unit(period, "s", "sample_period")
         if not is_finite(period) or not period > 0:
             raise InputError(
-                f"delay = {quoted(delay)} is a time, but there is no sample period; give a sample period, as in "
+                f"delay = {short_repr(delay)} is a time, but there is no sample period; give a sample period, as in "
                 'sample_period = "5 ms", or give delay as a number of samples'
             )
         return {**given, "delay": round(seconds / period, 9)}

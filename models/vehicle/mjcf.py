@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, quoted
+from models.common.errors import InputError, error_in, short_repr
 from models.common.extensions import FEATURES
 from models.common.files import read_text
 from models.kinds.kind import GRAVITY, HERE, LOWEST_HUB
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 GIVE = "give the MuJoCo model of the vehicle type"
-FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
+FITTED_PREFIX = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
 SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
@@ -63,9 +63,9 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
         InputError: the kind's MJCF cannot be read, or is no MJCF.
     """
     read_text(vehicle.kind.mjcf, "MJCF", GIVE)
-    spec = _drawn(vehicle)
-    if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: names with {FITTED} are reserved; rename the actuator {taken[0]!r}")
+    spec = _read_model(vehicle)
+    if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED_PREFIX)]:
+        raise InputError(f"MJCF {vehicle.kind.mjcf}: names with {FITTED_PREFIX} are reserved; rename the actuator {taken[0]!r}")
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.kind.at_wheels(vehicle.parameters))
@@ -78,15 +78,15 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     return spec
 
 
-def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
+def _read_model(vehicle: Vehicle) -> mujoco.MjSpec:
     """Reads the MJCF of a kind, and drops the sensors of signals that its vehicles do not have."""
     kind, unnamed = vehicle.kind, frozenset(vehicle.kind.unnamed)
     if kind.folder == HERE:
-        return _shipped(kind.mjcf, unnamed).copy()
+        return _read_shipped(kind.mjcf, unnamed).copy()
     try:
         return _read(kind.mjcf, unnamed)
     except MUJOCO_SAYS as error:
-        raise InputError(f"MJCF {kind.mjcf}: MuJoCo rejects it ({_said(error)}); correct it") from error
+        raise InputError(f"MJCF {kind.mjcf}: MuJoCo rejects it ({_error_text(error)}); correct it") from error
 
 
 def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
@@ -98,25 +98,25 @@ def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
     return spec
 
 
-_shipped = functools.lru_cache(maxsize=16)(_read)  # nobody rewrites what ships
+_read_shipped = functools.lru_cache(maxsize=16)(_read)  # nobody rewrites what ships
 
 
-def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
+def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Returns the compiled model with the vehicle's parameters."""
     try:
         with quiet():
             return spec.compile()
     except MUJOCO_SAYS as error:
         try:
-            _drawn(vehicle).compile()
+            _read_model(vehicle).compile()
         except MUJOCO_SAYS:
             whose = f"MJCF {vehicle.kind.mjcf}: MuJoCo rejects it"
         else:
             whose = f"vehicle type {vehicle.kind.mjcf.with_suffix('.py')}: MuJoCo rejects the MJCF with the changes of write_mjcf"
-        raise InputError(f"{whose} ({_said(error)}); correct it") from error
+        raise InputError(f"{whose} ({_error_text(error)}); correct it") from error
 
 
-def _said(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
@@ -124,7 +124,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """Writes largest force and lag into every actuator."""
     limits = vehicle.limits
     for actuator in spec.actuators:
-        if actuator.name.startswith(FITTED):
+        if actuator.name.startswith(FITTED_PREFIX):
             continue
         if limits.actuator_force is not None:
             actuator.forcelimited = True
@@ -159,14 +159,14 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
         native.sense_velocities(spec, pairs)
         if not parts:
             return
-        at_rest = _compiled(vehicle, spec.copy())
+        at_rest = _compile_model(vehicle, spec.copy())
         rest = {at_rest.tendon(i).name: float(at_rest.tendon_length0[i]) for i in range(at_rest.ntendon)}
-        places = [(one, native.Tendon(spec, one.tendon, rest[one.tendon], FITTED)) for one in parts]
+        places = [(one, native.Tendon(spec, one.tendon, rest[one.tendon], FITTED_PREFIX)) for one in parts]
         for one, tendon in places:
             if one.native:
                 one.part.write(tendon)
         for name in dict.fromkeys(one.tendon for one in parts if not one.native):
-            native.Tendon(spec, name, rest[name], FITTED).add_motor()
+            native.Tendon(spec, name, rest[name], FITTED_PREFIX).add_motor()
         for one, tendon in places:
             one.part.write_input(tendon, not one.native)
 
@@ -196,7 +196,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
-    model = _compiled(vehicle, spec)
+    model = _compile_model(vehicle, spec)
     _check_names(vehicle, model)
     _check_numbers(vehicle, model)
     return model
@@ -224,7 +224,7 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
     """Returns the names of a model's actuators without the fitted ones, which come last."""
     names = [model.actuator(i).name for i in range(model.nu)]
-    return tuple(name for name in names if not name.startswith(FITTED))
+    return tuple(name for name in names if not name.startswith(FITTED_PREFIX))
 
 
 def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
@@ -245,7 +245,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
             along = sensor.user[:count]
             if len(along) < count or not np.all(np.isfinite(along)) or not along.any():
                 raise InputError(
-                    f"{where}: sensor {part!r} has {count} component(s), but user = {quoted(along)} is not a direction with "
+                    f"{where}: sensor {part!r} has {count} component(s), but user = {short_repr(along)} is not a direction with "
                     f'{count} component(s); give one, as in user="0 0 1", and <size nuser_sensor="3"/>'
                 )
     data = mujoco.MjData(model)
@@ -309,7 +309,7 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-MOVED = 1e-2  # m, rad; less than a hub is above its road, and the cosine of a hinge's angle changes by 5e-5
+LARGEST_MOVE = 1e-2  # m, rad; less than a hub is above its road, and the cosine of a hinge's angle changes by 5e-5
 CHANGE = 1e-9  # of the largest entry of a matrix, or of a reading; the relative effect of rounding is 1e-15
 TRIALS = 3
 
@@ -333,7 +333,7 @@ def has_geometry(vehicle: Vehicle) -> bool:
         return [np.array(each) for each in (data.M, data.qfrc_bias, data.ten_J, data.actuator_moment)]
 
     rest = matrices(np.zeros(model.nq))
-    moved = [matrices(rng.uniform(-MOVED, MOVED, model.nq)) for _ in range(TRIALS)]
+    moved = [matrices(rng.uniform(-LARGEST_MOVE, LARGEST_MOVE, model.nq)) for _ in range(TRIALS)]
     return any(
         np.abs(there - here).max(initial=0.0) > CHANGE * np.abs(here).max(initial=0.0)
         for trial in moved
@@ -362,8 +362,8 @@ def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
 
     rest = read(np.zeros((3, model.nv)))
     for _ in range(TRIALS):
-        motion = rng.uniform(-1.0, 1.0, (3, model.nv)) * np.array([[MOVED], [1.0], [1.0]])
+        motion = rng.uniform(-1.0, 1.0, (3, model.nv)) * np.array([[LARGEST_MOVE], [1.0], [1.0]])
         whole, half = read(motion) - rest, read(motion / 2) - rest
-        if np.any(np.abs(whole - 2 * half) > CHANGE * np.maximum(np.abs(whole), MOVED)):
+        if np.any(np.abs(whole - 2 * half) > CHANGE * np.maximum(np.abs(whole), LARGEST_MOVE)):
             return True
     return False

@@ -8,7 +8,7 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 
 WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that runs can leave out
 PASSIVE = "passive"  # the controller without force, of every vehicle
@@ -26,8 +26,8 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
         raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
     if len(name.encode()) > LONGEST_NAME or not _is_name(name):
         raise InputError(
-            f"{where} the controller's name {quoted(name)} is not allowed; use letters, digits, '_' and '-', without '-' at the "
-            f"beginning, and at most {LONGEST_NAME} bytes of UTF-8"
+            f"{where} the controller's name {short_repr(name)} is not allowed; use letters, digits, '_' and '-', without '-' "
+            f"at the beginning, and at most {LONGEST_NAME} bytes of UTF-8"
         )
 
 
@@ -64,14 +64,16 @@ LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
 )
-NAMED = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
-FILED = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
-JOINED = re.compile(rf"{NAMED}|{FILED}", re.IGNORECASE)  # between a road and its loads, and between these
+LOAD_SEPARATOR = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
+FILE_SEPARATOR = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
+PART_SEPARATOR = re.compile(
+    rf"{LOAD_SEPARATOR}|{FILE_SEPARATOR}", re.IGNORECASE
+)  # between a road and its loads, and between these
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
     """Splits a text into its road and its loads: `bump + brake:g=0.5 + push.csv`."""
-    road, *loads = JOINED.split(text)
+    road, *loads = PART_SEPARATOR.split(text)
     return road, loads
 
 

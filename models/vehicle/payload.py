@@ -97,17 +97,17 @@ def apply_payload(
     sunk = dict[str, float]()  # of the springs at these, by deflection [m]
     for part in turning:
         table, name = kind.ratios[part.ratio], part.deflection
-        rest = table.carrying(parameters.get(part.stiffness, 0.0), before[name], after[name])
+        rest = table.rest_at_load(parameters.get(part.stiffness, 0.0), before[name], after[name])
         sunk[name] = float(table.travel(np.array(rest)))
         with error_in(f"[payload] {part.ratio}:"):
-            laden_kind = replace(laden_kind, ratios={**laden_kind.ratios, part.ratio: table.about(rest)})
+            laden_kind = replace(laden_kind, ratios={**laden_kind.ratios, part.ratio: table.shifted_to(rest)})
         heavier[part.ratio] = laden_kind.ratios[part.ratio].at_rest
     with error_in("[payload]: with this payload,"):
         checked = laden_kind.check(heavier)
-    return checked, _sunk(kind, model, load, limits, parameters, sunk), laden_kind
+    return checked, _limits_at_laden_rest(kind, model, load, limits, parameters, sunk), laden_kind
 
 
-def _sunk(
+def _limits_at_laden_rest(
     kind: VehicleKind,
     model: LinearModel,
     load: Mapping[str, float],

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from models.characteristics import SIDES
 from models.common.checks import is_finite
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import GRAVITY, VehicleKind, is_number, nothing
-from models.kinds.plausibility import Known
+from models.kinds.plausibility import KnownQuantity
 from models.laws.filter import Filter, FilterSection
 
 if TYPE_CHECKING:
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from models.kinds.kind import Suspension
 
 
-PUSHING = "force"  # value of `actuators` in a controller's section
+PUSHING_ACTUATORS = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
 ROUNDING = 1e-9  # of a load
-CARRIED = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
+STATIC_LOAD_TOLERANCE = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,11 @@ def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
     outputs = context["outputs"]
     if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
         raise InputError(
-            f"{HERE} = {quoted(value)} is not allowed; give signals with factors other than 0, as in sum = "
+            f"{HERE} = {short_repr(value)} is not allowed; give signals with factors other than 0, as in sum = "
             f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
         )
     if unknown := [signal for signal in value if signal not in outputs]:
-        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {listing(outputs)}")
+        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {list_names(outputs)}")
     return {signal: float(one) for signal, one in value.items()}
 
 
@@ -132,11 +132,11 @@ def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], out
     for name in weights:
         if name not in outputs:
             raise InputError(
-                f"[performance] unknown signal {name!r}; give one of {listing(outputs)}, or {ROAD!r} for a filter of the road, "
-                "or a new name for a sum of signals"
+                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}, or {ROAD!r} for a filter of the "
+                "road, or a new name for a sum of signals"
             )
     if not any(weights.values()) and not sums:
-        raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {listing(outputs)}")
+        raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {list_names(outputs)}")
 
 
 def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
@@ -207,7 +207,7 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 }  # fmt: skip
 
 
-def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
+def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
     """Yields the quantities of a vehicle by place, with the names that `models.kinds.plausibility.RULES` has for them.
 
     For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
@@ -216,13 +216,18 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
     Args:
         vehicle: the `Vehicle`, whose module imports this one.
     """
-    kind, limits, how, axles = vehicle.kind, vehicle.force_limits or vehicle.limits, vehicle.implementation, dict[str, Known]()
+    kind, limits, how, axles = (
+        vehicle.kind,
+        vehicle.force_limits or vehicle.limits,
+        vehicle.implementation,
+        dict[str, KnownQuantity](),
+    )
     bent = {part.damping for part in kind.suspensions} & {*vehicle.curves}
     p = {name: value for name, value in kind.at_wheels(vehicle.parameters).items() if value and name not in bent}
     for start, unit in CORNER.values():
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
-            yield _known(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
+            yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
     firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()  # of those with the same numbers
     lines = [_of_elements(vehicle, deflection) for deflection in firsts]
     k, c = (
@@ -230,9 +235,13 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
         for i, of in enumerate(("spring", "damper"))
     )
     if k and (mass := p.get("sprung_mass")):
-        yield _known(frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), ""))
-    yield _known(seat=("", math.sqrt(_ratio(p.get("seat_stiffness", 0.0), p.get("seat_mass", 0.0))) / (2 * math.pi), ""))
-    yield _known(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
+        yield _known_quantities(
+            frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), "")
+        )
+    yield _known_quantities(
+        seat=("", math.sqrt(_ratio(p.get("seat_stiffness", 0.0), p.get("seat_mass", 0.0))) / (2 * math.pi), "")
+    )
+    yield _known_quantities(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
     for part in kind.suspensions:
         place = _at_suspension(vehicle, part, p)
         if "body_frequency" in place:
@@ -241,14 +250,14 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, Known]]:
     yield axles
     for key, of in (("suspension_stroke", "stroke"), ("stop_stiffness", "stop")):
         written = {name: text for name, text in vehicle.limits.written.items() if key in name and text[0] not in "[t"}
-        yield from (_known(**{of: (name, float(text), "")}) for name, text in written.items())
+        yield from (_known_quantities(**{of: (name, float(text), "")}) for name, text in written.items())
     for bandwidth in (limits.actuator_bandwidth, *(damper.bandwidth for damper in vehicle.dampers.values())):
-        yield _known(bandwidth=("bandwidth", (bandwidth or 0.0) / (2 * math.pi), "Hz"))
+        yield _known_quantities(bandwidth=("bandwidth", (bandwidth or 0.0) / (2 * math.pi), "Hz"))
     period, units = how.sample_period or 0.0, {signal.name: signal.unit for signal in kind.signals}
-    yield _known(period=("sample_period", period, "s"), delay=("delay times sample_period", how.delay * period, "s"))
+    yield _known_quantities(period=("sample_period", period, "s"), delay=("delay times sample_period", how.delay * period, "s"))
     for name, errors in (("noise", how.noise), ("quantisation", how.quantisation)):
         for signal, size in errors.items():
-            yield _known(**{f"error_{units.get(signal)}": (f"{name} of {signal}", size, units.get(signal, ""))})
+            yield _known_quantities(**{f"error_{units.get(signal)}": (f"{name} of {signal}", size, units.get(signal, ""))})
 
 
 def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
@@ -257,7 +266,7 @@ def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
     return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
 
 
-def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, Known]:
+def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, KnownQuantity]:
     """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
     kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
     r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
@@ -267,7 +276,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
     more = _of_elements(vehicle, part.deflection)
     k, c = k + more[0], c + more[1]
     critical, hop = 2 * math.sqrt(k * load / GRAVITY), 2 * math.sqrt(tyre * wheel)
-    return _known(
+    return _known_quantities(
         **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
         **{side: (f"the {side} stroke", stroke, "m") for side, stroke in strokes.items()},
         damping=("", _ratio(c, critical), ""),
@@ -284,9 +293,9 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
     )
 
 
-def _known(**quantities: tuple[str, float | None, str]) -> dict[str, Known]:
+def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
     """Returns quantities, each with its name, value and unit, without those that are None or 0."""
-    return {of: Known(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
+    return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
 
 
 def _ratio(of: float, to: float) -> float:
@@ -321,7 +330,7 @@ def suspension_doubts(vehicle: Any) -> list[str]:
     return list(doubts)
 
 
-def settled(
+def rebalanced_curves(
     kind: VehicleKind, curves: Mapping[str, "ForceCurve"], before: Mapping[str, float], parameters: dict[str, float]
 ) -> dict[str, "ForceCurve"]:
     """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
@@ -336,7 +345,7 @@ def settled(
     for name, curve in curves.items():
         if name in loads and now[name] != loads[name] and abs(curve.at_rest + loads[name]) <= ROUNDING * loads[name]:
             with error_in(f"[curves] {name}:"):
-                settled[name] = curve.scaled(parameters[name] / curve.slope).carrying(now[name] - loads[name])
+                settled[name] = curve.scaled(parameters[name] / curve.slope).about_load(now[name] - loads[name])
             parameters[name] = settled[name].slope
     return settled
 
@@ -351,7 +360,7 @@ def curve_notes(curves: Mapping[str, "ForceCurve"], kind: VehicleKind, parameter
     for name, curve in curves.items():
         carried, load = -curve.at_rest, loads.get(name)
         notes += [f"{name}: {curve.note}{slope_words(curve)}"] if curve.note else []
-        if carried and load is not None and abs(carried - load) > CARRIED * load:
+        if carried and load is not None and abs(carried - load) > STATIC_LOAD_TOLERANCE * load:
             notes.append(
                 f"{name}: the table's force at rest is {round(carried, 1):g} N, but the static load is {round(load, 1):g} N, a "
                 f"difference of {round(load - carried, 1):+g} N; preload = true begins where the table carries the static load"

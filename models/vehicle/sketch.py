@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from models.common.errors import listing
+from models.common.errors import list_names
 from models.document.sketch import Sketch, Strut, View
 from models.kinds.kind import Parameters, Wheel
 from models.kinds.signals import TYRE_DEFLECTION
@@ -127,7 +127,7 @@ def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]
     for one in vehicle.elements:
         given = {key.partition(".")[2].replace("_", " "): (value, si.unit) for key, (value, si) in one.numbers.items() if value}
         text = ", ".join((kinds.get(type(one.part), "element"), *(f"{key} {_number(*value)}" for key, value in given.items())))
-        where = listing(one.corners).replace("_", " ") if len(one.corners) < len(vehicle.kind.suspensions) else ""
+        where = list_names(one.corners).replace("_", " ") if len(one.corners) < len(vehicle.kind.suspensions) else ""
         yield "", one.name.replace("_", " "), f"{text}, {where}".removesuffix(", ")
     if vehicle.dampers:
         yield "u", "force", "; ".join(dict.fromkeys(damper.words for damper in vehicle.dampers.values()))

@@ -56,7 +56,7 @@ class SuspensionForces:
             kept = np.array([rows[0][k][3] + i for k in some for i in range(len(part.states))], dtype=int)
             parts = [[row[k][1] for k in some] for row in rows]
             self._stacks.append((every, own, kept, Stack(parts, line)))
-            self.inertial |= any(one.line.inertance and (line or one.bent) for row in parts for one in row)
+            self.inertial |= any(one.line.inertance and (line or one.is_nonlinear) for row in parts for one in row)
 
     @property
     def moves(self) -> bool:

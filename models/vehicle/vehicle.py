@@ -12,19 +12,19 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.files import STDOUT, parse_toml, path_from, read_text
-from models.common.schema import AnyTable, BySignal, Section, Text, keys, placed, read
+from models.common.schema import AnyTable, BySignal, Section, Text, keys, locate_errors, read
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.plausibility import remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
 from models.parts.part import Parts
-from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
+from models.vehicle.controllers import NOMINAL, RESERVED_NAMES, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import (
     Implementation,
     ImplementationSection,
@@ -34,7 +34,7 @@ from models.vehicle.limits_and_implementation import (
 )
 from models.vehicle.names import WITHOUT, named_files
 from models.vehicle.sections import (
-    PUSHING,
+    PUSHING_ACTUATORS,
     WeightedSum,
     check_weights,
     curve_notes,
@@ -42,8 +42,8 @@ from models.vehicle.sections import (
     known_quantities,
     ratio_doubts,
     read_performance,
+    rebalanced_curves,
     resolved_text,
-    settled,
     suspension_doubts,
 )
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve
     from models.document.figure import Figure
     from models.laws.filter import Filter
-    from models.laws.python_law import Programmed
+    from models.laws.python_law import PythonController
     from models.laws.semi_active import SemiActive
     from models.parts.element import Element
 
@@ -62,7 +62,7 @@ def kinds(folder: Path = HERE) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
 
 
-def shipped() -> list[str]:
+def shipped_vehicles() -> list[str]:
     """Returns the names of the shipped vehicles: one of every kind, and some more."""
     return sorted(path.stem for path in HERE.glob("*.toml"))
 
@@ -78,7 +78,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     own = kinds(folder) if folder else []
     if folder is None or name not in own:
         beside = f", or next to the vehicle file: {name}.py and {name}.xml" if folder else ""
-        raise InputError(f"unknown vehicle type {name!r}; known: {listing([*kinds(), *own])}{beside}")
+        raise InputError(f"unknown vehicle type {name!r}; known: {list_names([*kinds(), *own])}{beside}")
 
     return FEATURES.load("vehicle types in Python").read_kind(folder, name)
 
@@ -95,8 +95,10 @@ def in_plane(name: str, plane: str) -> str:
     """
     planes = PLANES.get(name, {})
     if plane not in planes:
-        repair = f"give one of {listing(planes)}" if planes else f"only the type {listing(PLANES)} has a plane: omit the line"
-        raise InputError(f"plane = {quoted(plane)} is not allowed for the type {quoted(name)}; {repair}")
+        repair = (
+            f"give one of {list_names(planes)}" if planes else f"only the type {list_names(PLANES)} has a plane: omit the line"
+        )
+        raise InputError(f"plane = {short_repr(plane)} is not allowed for the type {short_repr(name)}; {repair}")
     return planes[plane]
 
 
@@ -128,7 +130,7 @@ PERSON = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Vehicle(Shown):
+class Vehicle(ShownResult):
     """Vehicle of a vehicle file.
 
     Attributes:
@@ -187,10 +189,10 @@ class Vehicle(Shown):
                 self.kind.with_states(FEATURES.load("parts in files").states_of(self.elements, self.kind.suspensions)),
             )
         names = {*self.performance}.union(*(one.terms for one in self.sums))
-        object.__setattr__(self, "kind", self.kind.naming(names).carrying(self.parameters))
+        object.__setattr__(self, "kind", self.kind.naming(names).with_wheel_loads(self.parameters))
         for name, weight in self.performance.items():
             if name not in self.kind.possible or weight < 0:
-                known = listing(signal.name for signal in self.kind.signals)
+                known = list_names(signal.name for signal in self.kind.signals)
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {known}")
 
     def starting(self, **start: float | str) -> "Vehicle":
@@ -212,7 +214,7 @@ class Vehicle(Shown):
 
     def _read_start(self, start: Mapping[str, Any]) -> dict[str, float]:
         units = {name: self.kind.signal(name).unit for name in self.linear_model.states} | {LIFTED: "m"}
-        with placed("[start]", []):
+        with locate_errors("[start]", []):
             return BySignal("", "states", -FASTEST, FASTEST).read(start, {"states": units}) if start else {}
 
     @cached_property
@@ -239,8 +241,8 @@ class Vehicle(Shown):
             >>> heavier.parameters["sprung_mass"]
             600.0
         """
-        vehicle, known = self.altered(self.kind.check_each({**self.parameters, **parameters})).checked(), self.doubts
-        for doubt in vehicle.doubts:
+        vehicle, known = self.altered(self.kind.check_each({**self.parameters, **parameters})).checked(), self.warnings
+        for doubt in vehicle.warnings:
             if doubt not in known:
                 warnings.warn(doubt, stacklevel=2)
         return vehicle
@@ -248,7 +250,7 @@ class Vehicle(Shown):
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
         parameters = {**self.parameters, **values}
-        curves = settled(self.kind, self.curves, self.parameters, parameters)
+        curves = rebalanced_curves(self.kind, self.curves, self.parameters, parameters)
         return replace(self, parameters=parameters, curves=curves, **fields)
 
     def adjusted(self, force: str) -> bool:
@@ -334,7 +336,7 @@ class Vehicle(Shown):
         return self.kind.motion_ratios(self.parameters, self.linear_model.inputs)
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Vehicle type and file, then parameters, weights and controllers."""
         from models.kinds.at_wheels import ratio_notes
 
@@ -350,7 +352,7 @@ class Vehicle(Shown):
         )
 
     @property
-    def drawn(self) -> "tuple[Figure, ...]":
+    def figures(self) -> "tuple[Figure, ...]":
         """The gain from the road's velocity to the weighted signals, without control."""
 
         model = self.linear_model
@@ -368,7 +370,9 @@ class Vehicle(Shown):
         names = {name for damper in self.parts.adjustable for name in (damper.coefficient, damper.missing)}
         signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
         damping = {suspension.force: suspension.damping for suspension in self.kind.suspensions}
-        curves = {damping[damper.force]: damper.standing for damper in self.parts.adjustable if damper.standing is not None}
+        curves = {
+            damping[damper.force]: damper.nominal_curve for damper in self.parts.adjustable if damper.nominal_curve is not None
+        }
         return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
 
     @cached_property
@@ -392,7 +396,7 @@ class Vehicle(Shown):
         others = [name for name in named if name not in pushing]
         if pushing and others:
             raise InputError(
-                f"{listing(pushing)} drive force actuators, and {listing(others)} semi-active dampers; this command takes "
+                f"{list_names(pushing)} drive force actuators, and {list_names(others)} semi-active dampers; this command takes "
                 "one kind: select controllers of one kind with --controller"
             )
         return self.with_force_actuators if pushing else self
@@ -408,7 +412,7 @@ class Vehicle(Shown):
             InputError: the part is another one.
         """
         if part not in WITHOUT:
-            raise InputError(f"without {part!r} is not known; known: {listing(WITHOUT)}")
+            raise InputError(f"without {part!r} is not known; known: {list_names(WITHOUT)}")
         how, dampers = self.implementation, self.dampers
         how = how.without_noise if part == "noise" else replace(how, delay=0) if part == "delay" else how
         if part == "lag":
@@ -550,7 +554,7 @@ class Vehicle(Shown):
         return sound
 
     @property
-    def doubts(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
@@ -565,14 +569,14 @@ class Vehicle(Shown):
     @property
     def controller_names(self) -> tuple[str, ...]:
         """Names of all controllers."""
-        return (*RESERVED, *self.controllers)
+        return (*RESERVED_NAMES, *self.controllers)
 
     @property
     def linear_names(self) -> tuple[str, ...]:
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
-        return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
+        return (*RESERVED_NAMES, *(name for name, entry in self.controllers.items() if entry.linear))
 
-    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | Programmed | SemiActive":
+    def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
         """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
@@ -599,7 +603,7 @@ class Vehicle(Shown):
             InputError: the file has no controller of that name, or its law is in Python or semi-active.
         """
         if name not in self.controllers:
-            raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
+            raise InputError(f"unknown controller {name!r}; this vehicle has {list_names(self.controller_names)}")
         entry = self.controllers[name]
         if not entry.linear:
             raise InputError(
@@ -625,9 +629,9 @@ def read_vehicle(file: str | Path) -> Vehicle:
         (504.5, (4, 4))
     """
     path = path_from(file)
-    if str(file) in shipped() and not path.is_file():
+    if str(file) in shipped_vehicles() and not path.is_file():
         path = HERE / f"{file}.toml"
-    text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
+    text = read_text(path, "vehicle file", f"give a TOML file or one of: {list_names(shipped_vehicles())}")
     with error_in(f"vehicle file {path}:"):
         whole, files = resolved_text(text, path.parent)
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
@@ -677,7 +681,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         implementation, sampled = section.implementation, section.sampled
     dampers = dict[str, "Damper"]()
     if given.actuators or elements:
-        forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in given.controllers.values())
+        forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING_ACTUATORS for one in given.controllers.values())
         limited = () if forced else limits.of_actuators
         dampers = FEATURES.load("adjustable dampers").read_actuators(given.actuators, corners, limited)
         if any(one.part.settable is not None for one in elements):

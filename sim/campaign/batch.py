@@ -14,12 +14,12 @@ from sim.campaign.plan import Plan, PlannedRun
 from sim.drive.case import Batch, Case
 from sim.drive.drive import StoppedError, drive
 from sim.drive.driver import Failure
-from sim.drive.loop import DIVERGED, Block
+from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.drive.regime import FLAT, LAW_DIVERGED, LAW_OVERFLOW
 from sim.observers.ends import Ends, RunEnd
 from sim.observers.registry import observer
 from sim.observers.results import WHEN
-from sim.studies.ride.expected import expect, settled
+from sim.studies.ride.expected import expect, remaining_transient
 from sim.studies.ride.metrics import Meter
 from sim.studies.ride.run_metrics import driven_roughness, roughness
 from synth.controller.controller import is_linear
@@ -38,7 +38,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
 
 Rows = list[dict[str, Any]]
 MOST_ROADS = 4096  # whose IRIs are kept; more than a batch has
-FAILED = "law: "  # how the reason begins why a run's law in Python has failed
+FAILED_LAW = "law: "  # how the reason begins why a run's law in Python has failed
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
@@ -120,13 +120,13 @@ def _drive(plan: Plan, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) 
         row = {**run.inputs, **_roughness(plan, run)}
         rows.append(row)
         if i in failures:
-            row["reason"] = f"{FAILED}{failures[i].why}"
+            row["reason"] = f"{FAILED_LAW}{failures[i].why}"
             continue
         row |= end_columns(end) | measured
         if run.choice.stationary:
             key = (*run.system, run.inputs["road"], run.inputs["speed"])
             if key not in expected:
-                expected[key] = _expected(campaign, run)
+                expected[key] = _expected_columns(campaign, run)
             row |= expected[key]
     return rows, [i for i, failure in failures.items() if failure.together]
 
@@ -139,7 +139,7 @@ def end_columns(end: RunEnd) -> dict[str, Any]:
     elif end.broke_off == LAW_OVERFLOW:
         reason = f"{LAW_OVERFLOW}: {LAW_DIVERGED.format(when=WHEN.text(end.diverged))}"
     elif end.broke_off is not None:
-        reason = f"diverged: a signal is beyond {DIVERGED:g} at {WHEN.text(end.diverged)}"
+        reason = f"diverged: a signal is beyond {DIVERGENCE_LIMIT:g} at {WHEN.text(end.diverged)}"
     return {
         "reason": reason,
         "diverged_at": None if end.law_diverged else finite(end.diverged),
@@ -160,7 +160,7 @@ def _roughness(plan: Plan, run: PlannedRun) -> dict[str, float]:
     return kept
 
 
-def _expected(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
+def _expected_columns(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
     """Returns the columns of a row for expected metrics over a random road, and the remaining transient when measuring begins."""
     spectrum, controller, start = run.road.spectrum, run.controller, float(campaign.time[campaign.first])
     if spectrum is None:
@@ -171,6 +171,6 @@ def _expected(campaign: Campaign, run: PlannedRun) -> dict[str, Any]:
     if expected is not None:
         values = {f"{EXPECTED}{name}": finite(value) for name, value in expected.mean.items()}
         values["expected_error"], line = finite(expected.error), expected.line.vehicle
-    if (begun := settled(line, controller, spectrum, campaign.timestep, start)) is not None:
+    if (begun := remaining_transient(line, controller, spectrum, campaign.timestep, start)) is not None:
         values |= {"settled": begun.share, "settled_signal": begun.signal}
     return values

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.files import whole_file
-from models.common.printed import as_name, pasted, percent
+from models.common.printed import as_name, percent, shell_line
 from models.common.toml_edit import section_lines
 from models.common.units import setting
 from models.document.document import Statement
@@ -32,7 +32,7 @@ from sim.studies.ride.metrics import Metric, compared_metrics, metrics_of, over_
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT in SI units, for example peak_travel:0.08"
 VALUE, MISS = Field[float]("value", float, ".4g"), Field[float]("miss", float, ".3g")
-DRAWN = Field[float]("drawn key", float, ".6g")
+DRAWN_KEY = Field[float]("drawn key", float, ".6g")
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class Choice:
         """The choice in words."""
         request, candidate = self.request, self.candidate
         if candidate is None:
-            absent = listing([request.metric, *request.limits])
+            absent = list_names([request.metric, *request.limits])
             return Statement(f"{self.vehicle}: all {self.count} candidates have runs that broke off, without {absent}.", "fails")
-        drawn = "".join(f", {key} {DRAWN.digits(value)}" for key, value in self.values.items())
+        drawn = "".join(f", {key} {DRAWN_KEY.digits(value)}" for key, value in self.values.items())
         who = f"{self.vehicle}: {as_name(candidate.name)}{drawn and f'{drawn},'}"
         if self.within:
             numbers = ", ".join(f"{name} {VALUE.digits(value)}" for name, value in self.numbers.items())
@@ -121,7 +121,7 @@ class Choice:
         return f" within {self.request.words}" if self.request.limits else ""
 
 
-def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
+def requested_best(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
     """Returns what the options ask for; None without `--best`.
 
     Raises:
@@ -141,7 +141,7 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
         if not colon:
             raise InputError(f"{where} has no limit; {GIVE}")
         _check_metric("--subject-to", metric, campaign)
-        unit = next(_known(vehicle, campaign)[metric][0].unit.removeprefix("-") for vehicle in campaign.vehicles.values())
+        unit = next(_known_metrics(vehicle, campaign)[metric][0].unit.removeprefix("-") for vehicle in campaign.vehicles.values())
         if metric in read:
             raise InputError(f"{where}: {metric} already has a limit; give only the smaller one")
         read[metric], units[metric] = setting(f"--subject-to {metric}", number, unit or "1"), unit
@@ -153,11 +153,11 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     """Refuses a metric that a vehicle lacks."""
     for vehicle, one in campaign.vehicles.items():
-        if name not in (there := _known(one, campaign)):
-            raise InputError(f"{option} {name}: vehicle {vehicle!r} has no metric {name}; it has {listing(there)}")
+        if name not in (there := _known_metrics(one, campaign)):
+            raise InputError(f"{option} {name}: vehicle {vehicle!r} has no metric {name}; it has {list_names(there)}")
 
 
-def _known(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
+def _known_metrics(vehicle: Vehicle, campaign: Campaign) -> dict[str, tuple[Metric, ...]]:
     """Returns the metrics of a vehicle: columns of the results, and by each name of the registry those compared."""
     compared = {name: metrics for name, metrics in compared_metrics(vehicle, campaign.loaded).items() if metrics}
     return {metric.name: (metric,) for metric in metrics_of(vehicle, campaign.loaded)} | compared
@@ -177,7 +177,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
 
 def choose(plan: Plan, store: Store, request: Request, vehicle: str) -> Choice:
     """Returns the choice of a vehicle."""
-    candidates, known = plan.candidates(vehicle), _known(plan.campaign.vehicles[vehicle], plan.campaign)
+    candidates, known = plan.candidates(vehicle), _known_metrics(plan.campaign.vehicles[vehicle], plan.campaign)
     asked = {name: known[name] for name in (request.metric, *request.limits)}
     table = store.read(list(dict.fromkeys(metric.name for some in asked.values() for metric in some)))
     values = {name: table[name].to_numpy().astype(float) for name in table.column_names}
@@ -225,7 +225,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     drawn = "" if candidate.variant is None else f"; variants by seed {campaign.sample_seed} of [samples]"
     lines = [
         f"# {name}{of_law}: the best {request.metric}{choice.limits} of {choice.count} candidates, in SI units. Command:",
-        f"# {pasted(shlex.split(command))}",
+        f"# {shell_line(shlex.split(command))}",
         f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
         f"{CAMPAIGN_SUM}{identity}",
     ]

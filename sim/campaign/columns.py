@@ -56,7 +56,7 @@ def columns(campaign: Campaign, metadata: Mapping[str, str]) -> pa.Schema:
         _column("expected_error", NUMBER, f"largest relative error of the integrals of the {EXPECTED} columns", "-"),
         *(_column(name, NUMBER, "value in MuJoCo", metric.unit) for name, metric in metrics.items()),
         *(_column(f"{LINEAR}{name}", NUMBER, LINEAR_IS, metric.unit) for name, metric in metrics.items()),
-        *(_expected(metric) for metric in metrics.values()),
+        *(_expected_column(metric) for metric in metrics.values()),
     ]
     return pa.schema(fields, metadata=dict(metadata))
 
@@ -66,6 +66,6 @@ def _column(name: str, kind: pa.DataType = NUMBER, definition: str = "", unit: s
     return pa.field(name, kind, metadata={key: text for key, text in about.items() if text} or None)
 
 
-def _expected(metric: Metric) -> pa.Field:
+def _expected_column(metric: Metric) -> pa.Field:
     approximate = {"approximate": "yes"} if metric.approximate else {}
     return _column(f"{EXPECTED}{metric.name}", NUMBER, EXPECTED_IS.format(metric.expectation), metric.unit, **approximate)

@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from models.common.command import complain, print_json, versions
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.files import made_folder, read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
 from models.document.document import Document
-from models.document.outputs import check_outputs, written, written_lines
+from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.picture import write_picture
 from models.document.text import text_lines
 from models.roads.opencrg import Surface
 from models.roads.profile import Profile
 from sim.campaign import MOST_RUNS, parts
-from sim.campaign.best import choose, requested, save
+from sim.campaign.best import choose, requested_best, save
 from sim.campaign.columns import columns
-from sim.campaign.controllers import check_code, designed, planned
+from sim.campaign.controllers import check_code, design_controllers, plan_controllers
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
-from sim.campaign.manifest import ELSEWHERE, FULL, NAME, PARTS, RESULTS, Manifest, gains_of, locked, read_manifest
+from sim.campaign.manifest import ELSEWHERE, FULL, NAME, PARTS, RESULTS, Manifest, gains_of, lock_folder, read_manifest
 from sim.campaign.parts import CampaignPart
 from sim.campaign.plan import RATE, Plan, Progress
 from sim.campaign.store import Store
@@ -34,7 +34,7 @@ from sim.campaign.workers import Rows, cluster, run_batches
 from sim.drive import RUNS_AT_ONCE
 from sim.studies.ride.standing import record_of_standings
 
-FINISHED = "give the folder with the results of a finished campaign"
+FINISHED_ADVICE = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # on a road from a file
 NUMBERS = ("roadproof", "mujoco", "numpy", "scipy")  # packages whose versions decide the numbers
 
@@ -46,16 +46,16 @@ def run_campaign(options: argparse.Namespace) -> int:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
     """
     campaign = _read(options)
-    request = requested(campaign, options.best, options.subject_to or (), options.save)
+    request = requested_best(campaign, options.best, options.subject_to or (), options.save)
     read = [options.file, *(file for vehicle in campaign.vehicles.values() for file in vehicle.files)]
     check_outputs({"picture": options.picture, "save": options.save}, read, options.json)
     folder = _folder(options)
     stage = Stages("designs", "runs", "results")
-    with _cluster(options), nullcontext() if options.merge else locked(folder):
+    with _cluster(options), nullcontext() if options.merge else lock_folder(folder):
         stage("designs")
         if options.merge:
             _merge(campaign, folder)
-        manifest = _begun(campaign, folder, options.file, options.exported)
+        manifest = _begin_manifest(campaign, folder, options.file, options.exported)
         plan, store = _plan(campaign, manifest, folder)
         store.tidy()
         progress = _simulate(options, plan, store, stage)
@@ -86,7 +86,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             "compared": [{"vehicle": name, **record_of_standings([*some.values()])} for name, some in standings.items()],
             "best": [choice.record for choice in choices],
             "saved_controller": saved,
-            **written(outputs),
+            **output_paths(outputs),
         }
         print_json(result)
         return 0 if within else 1
@@ -94,7 +94,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
     gains = [entry for some in manifest.controllers.values() for entry in some.items()]
     coded = {f"{name} in {one['code']['numbers']}" for name, one in gains if "code" in one}
-    lines += [f"controllers that run as compiled code: {listing(coded)}"] if coded else []
+    lines += [f"controllers that run as compiled code: {list_names(coded)}"] if coded else []
     lines += ["", "results", Whole(f"  {store.results}")]
     if not options.brief:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
@@ -120,7 +120,7 @@ def run_part(options: argparse.Namespace) -> int:
     stage = Stages("designs", "runs")
     with _cluster(options), made_folder(folder, "results", "give another folder with --results"):
         stage("designs")
-        begun = _begun(campaign, folder / PARTS, options.file, options.exported, shared=True)
+        begun = _begin_manifest(campaign, folder / PARTS, options.file, options.exported, shared=True)
         with made_folder(part.folder(folder), "results", FULL):
             parts.begin(folder, part, begun)
         parts.check(folder, part, begun, campaign.digest, _versions())
@@ -129,7 +129,7 @@ def run_part(options: argparse.Namespace) -> int:
         if store.finished:
             store.tidy()
         stage.end()
-    left = parts.unfinished(folder, part.of)
+    left = parts.unfinished_parts(folder, part.of)
     if options.json:
         about = {"results": str(store.results), "part": part.number, "parts": part.of, "runs": store.runs, "new": progress.done}
         print_json({**about, "damaged": store.damaged, "unfinished": left})
@@ -221,7 +221,7 @@ def check_results(options: argparse.Namespace) -> int:
         InputError: there is no finished campaign, or it cannot be read here.
     """
     folder = options.verify
-    runs, verified, remark = _found(options, folder)
+    runs, verified, remark = _verify_runs(options, folder)
     faults, again = verified["faults"], len(verified["again"])
     if options.json:
         about = {"results": str(folder), "runs": runs, "rows": verified["rows"], "seed": options.seed, "remark": remark}
@@ -236,11 +236,11 @@ def check_results(options: argparse.Namespace) -> int:
     return 1 if faults else 0
 
 
-def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
+def _verify_runs(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, Any], str]:
     """Returns the number of runs, the result of --verify, and a remark on the campaign file."""
-    manifest = read_manifest(folder, FINISHED) if folder.is_dir() else None
+    manifest = read_manifest(folder, FINISHED_ADVICE) if folder.is_dir() else None
     if manifest is None:
-        raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED}")
+        raise InputError(f"--verify {folder}: this folder contains no campaign; {FINISHED_ADVICE}")
     remark = ""
     if options.file is not None:
         campaign = read_campaign(options.file)
@@ -252,7 +252,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
         now = "has changed" if file.is_file() else "no longer exists"
         if not file.is_file() or read_text(file, "campaign file", "") != manifest.campaign:
             remark = f"the campaign file {file} {now}; the copy in the folder of results is used"
-    manifest.check(folder, campaign.digest, _versions(), FINISHED)
+    manifest.check(folder, campaign.digest, _versions(), FINISHED_ADVICE)
     if manifest.part:
         raise InputError(f"--verify {folder}: this folder contains only part {manifest.part} of a campaign; merge the parts")
     plan, store = _plan(campaign, manifest, folder)
@@ -264,14 +264,14 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, dict[str, An
     return plan.count, verified, remark
 
 
-def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None, shared: bool = False) -> Manifest:
+def _begin_manifest(campaign: Campaign, folder: Path, file: Path, exported: Path | None, shared: bool = False) -> Manifest:
     """Returns the manifest in a folder, or in the `shared` one of parts. If the campaign begins now, gains are designed now."""
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
         raise InputError(f"the campaign has {count} runs, but at most {MOST_RUNS} are allowed; list fewer seeds or samples")
     used, manifest = _versions(), read_manifest(folder) if folder.exists() else None
     if manifest is None:
-        gains = gains_of(designed(campaign, exported))
+        gains = gains_of(design_controllers(campaign, exported))
         manifest = Manifest(str(file.absolute()), campaign.digest, used, campaign.text, gains, count)
         manifest = manifest.publish(folder) if shared else manifest.write(folder)
     manifest.check(folder, campaign.digest, used)
@@ -283,7 +283,7 @@ def _begun(campaign: Campaign, folder: Path, file: Path, exported: Path | None, 
 def _plan(campaign: Campaign, manifest: Manifest, folder: Path, part: CampaignPart | None = None) -> tuple[Plan, Store]:
     """Returns the runs with the gains that the campaign began with, and the results of the campaign or of a part of it."""
     about = {"campaign": campaign.text, "versions": json.dumps(versions()), "controllers": json.dumps(manifest.controllers)}
-    plan = planned(replace(campaign, earlier=manifest.earlier), manifest.controllers)
+    plan = plan_controllers(replace(campaign, earlier=manifest.earlier), manifest.controllers)
     where, share = (folder, plan.share(1, 1)) if part is None else (part.folder(folder), plan.share(part.number, part.of))
     return plan, Store(where, columns(campaign, about), share)
 

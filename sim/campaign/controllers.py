@@ -25,7 +25,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 
 
-def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict[str, AnyController]]:
+def design_controllers(campaign: Campaign, exported: Path | None = None) -> dict[str, dict[str, AnyController]]:
     """Returns the controllers of a new campaign, by vehicle and name.
 
     Args:
@@ -45,7 +45,7 @@ def designed(campaign: Campaign, exported: Path | None = None) -> dict[str, dict
     return controllers_by_vehicle
 
 
-def planned(campaign: Campaign, gains: Gains) -> Plan:
+def plan_controllers(campaign: Campaign, gains: Gains) -> Plan:
     """Returns the runs with the controllers that a campaign began with, and with its drawn laws. No law in Python is run.
 
     Args:
@@ -58,13 +58,13 @@ def planned(campaign: Campaign, gains: Gains) -> Plan:
     drawn: dict[str, dict[str, list[AnyController]]] = {}
     for name, vehicle in campaign.vehicles.items():
         designer = Designer(vehicle, search=False)  # one for all: they share the path of (22) and the lower bounds
-        controllers[name] = {one: _restored(designer, one, gains[name][one]) for one in campaign.controllers}
+        controllers[name] = {one: _restore_controller(designer, one, gains[name][one]) for one in campaign.controllers}
         laws = campaign.variants[name].items()
-        drawn[name] = {one: [_drawn(designer, one, values) for values in variants] for one, variants in laws}
+        drawn[name] = {one: [_draw_controller(designer, one, values) for values in variants] for one, variants in laws}
     return Plan(campaign, controllers, drawn)
 
 
-def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
+def _restore_controller(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyController:
     """Returns a controller from its entry of the gains, driven by its exported code, made again, if the campaign began so."""
     vehicle, linear = designer.vehicle, name in designer.vehicle.linear_names
 
@@ -83,7 +83,7 @@ def _restored(designer: Designer, name: str, entry: Mapping[str, Any]) -> AnyCon
     return driver
 
 
-def _drawn(designer: Designer, name: str, values: Values) -> AnyController:
+def _draw_controller(designer: Designer, name: str, values: Values) -> AnyController:
     """Returns a controller with drawn values of its law."""
     entry = drawn_entry(designer.vehicle, name, values)
     law = entry.law

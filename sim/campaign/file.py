@@ -12,10 +12,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import HERE
-from models.common.command import remarked
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.command import print_remarks
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.files import parse_toml, path_from, read_text
-from models.common.schema import MOST_SEED, SI, AnyTable, Integer, Listed, ReadBy, Section, Text, read
+from models.common.schema import MOST_SEED, SI, AnyTable, Integer, ListedValues, ReadBy, Section, Text, read
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.description import read_road
 from models.roads.obstacles import OBSTACLES
@@ -31,14 +31,18 @@ from sim.runs.run import sample_times
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 Texts = tuple[str, ...]
 EXAMPLES = (', as in ["quarter_car"]', ', as in ["passive"]', ', as in ["bump:height=0.05"]', ", as in [20.0]")  # of lists
-MEASURED = {Profile: ("distance", "heights"), Rig: ("time", "heights"), Surface: ("u", "v", "z")}  # roads of files: their points
+FILE_POINTS = {
+    Profile: ("distance", "heights"),
+    Rig: ("time", "heights"),
+    Surface: ("u", "v", "z"),
+}  # roads of files: their points
 
 
 def _seeds(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
     """Returns the seeds: those of a list, or 0, 1, ... as many as there are."""
     if not isinstance(value, list) or not value:
         return tuple(range(Integer("", 1, MOST_RUNS, ", or a list of seeds").read(value, context)))
-    return Listed("", Integer("", high=MOST_SEED)).read(value, context)
+    return ListedValues("", Integer("", high=MOST_SEED)).read(value, context)
 
 
 def _road(value: Any, context: Mapping[str, Any]) -> str:
@@ -54,12 +58,15 @@ def _road(value: Any, context: Mapping[str, Any]) -> str:
 class CampaignFile(Section):
     """The keys of a campaign file."""
 
-    vehicles: Annotated[Texts, Listed("vehicle files next to this file, or names of built-in vehicles", Text(), EXAMPLES[0])]
-    controllers: Annotated[Texts, Listed("names of controllers; every vehicle has them all", Text(), EXAMPLES[1])]
-    roads: Annotated[
-        Texts, Listed("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road), EXAMPLES[2])
+    vehicles: Annotated[
+        Texts, ListedValues("vehicle files next to this file, or names of built-in vehicles", Text(), EXAMPLES[0])
     ]
-    speeds: Annotated[tuple[float, ...], Listed("speeds of the vehicles", SI("m/s", low=0.1, high=200.0), EXAMPLES[3])]
+    controllers: Annotated[Texts, ListedValues("names of controllers; every vehicle has them all", Text(), EXAMPLES[1])]
+    roads: Annotated[
+        Texts,
+        ListedValues("roads, as `roadproof drive --road` takes them, or tables with `type`", ReadBy("", _road), EXAMPLES[2]),
+    ]
+    speeds: Annotated[tuple[float, ...], ListedValues("speeds of the vehicles", SI("m/s", low=0.1, high=200.0), EXAMPLES[3])]
     seeds: Annotated[tuple[int, ...], ReadBy("seeds of the random roads, or their number; other roads run once", _seeds)] = (0,)
     duration: Annotated[float, SI("s", "duration of every run", 0.0, 1e6)] = 10.0
     settle: Annotated[float, SI("s", "beginning of a run over a random road that is not measured", 0.0, 1e6)] | None = None
@@ -121,7 +128,7 @@ class Campaign:
         """Checksum of everything that decides the numbers: the file, and those that it names."""
         # Tables before surfaces, whatever their order: folders that are there know a campaign by this.
         roads = sorted(self.roads, key=lambda road: isinstance(road.road, Surface))
-        measured = [line for road in roads for line in _measured(road)]
+        measured = [line for road in roads for line in _file_checksums(road)]
         sources = "\n".join([self.text, *(vehicle.text for vehicle in self.vehicles.values()), *measured])
         return hashlib.sha256(sources.encode()).hexdigest()
 
@@ -145,14 +152,16 @@ def _parse(text: str, folder: Path) -> Campaign:
     data = parse_toml(text)
     given = read("", CampaignFile, data)
     files = {name: path_from(name, folder) for name in given.vehicles}
-    vehicles = {name: remarked(read_vehicle(file if file.is_file() else name)) for name, file in files.items()}
+    vehicles = {name: print_remarks(read_vehicle(file if file.is_file() else name)) for name, file in files.items()}
     _check_once("vehicles", given.vehicles, [Path(vehicles[name].source).resolve() for name in given.vehicles])
     controllers = tuple(unicodedata.normalize("NFC", name) for name in given.controllers)
     _check_once("controllers", controllers, controllers)
     for name, vehicle in vehicles.items():
         for controller in controllers:
             if controller not in vehicle.controller_names:
-                raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
+                raise InputError(
+                    f"vehicle {name!r} has no controller {controller!r}; it has {list_names(vehicle.controller_names)}"
+                )
     vehicles = {name: vehicle.with_common_actuators(controllers) for name, vehicle in vehicles.items()}
     roads = tuple(choose_road(road, folder) for road in given.roads)
     a_vehicle = next(iter(vehicles.values()))
@@ -170,11 +179,11 @@ def _parse(text: str, folder: Path) -> Campaign:
     drawn = read_samples(given.samples, vehicles, controllers)
     campaign = Campaign(vehicles, controllers, roads, given.speeds, given.seeds, duration, settle, timestep, *drawn, text)
     for (name, vehicle), road, speed in itertools.product(vehicles.items(), roads, given.speeds):
-        built = remarked(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
+        built = print_remarks(road.build(vehicle, speed, campaign.seeds[0], speed * duration))
         with error_in(f"road {road.text!r} at {speed:g} m/s under vehicle {name!r}:"):
             built.check(vehicle, campaign.time)
     for name, vehicle in vehicles.items():
-        remarked(with_sample(vehicle, campaign.samples[name][0]))  # which shows a distribution in another unit
+        print_remarks(with_sample(vehicle, campaign.samples[name][0]))  # which shows a distribution in another unit
     return campaign
 
 
@@ -183,21 +192,21 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:
-            raise InputError(f"{key}: {first[meant]} and {quoted(value)} are the same; list only one of them")
-        first[meant] = quoted(value)
+            raise InputError(f"{key}: {first[meant]} and {short_repr(value)} are the same; list only one of them")
+        first[meant] = short_repr(value)
 
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
     """Returns a key that is equal for equal roads, whatever their text."""
     alone = replace(road, loads=())
-    of_road = _measured(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
+    of_road = _file_checksums(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
     return (*of_road, *(load.content for load in road.loads))
 
 
-def _measured(road: RoadChoice) -> list[str]:
+def _file_checksums(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
     measured = road.road
-    arrays = [getattr(measured, name) for name in MEASURED.get(type(measured), ())]
+    arrays = [getattr(measured, name) for name in FILE_POINTS.get(type(measured), ())]
     named = [*measured.posts] if isinstance(measured, Rig) else [measured.join] if isinstance(measured, Profile) else []
     named += [load.content for load in road.loads if load.content != load.text]
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]

@@ -16,7 +16,7 @@ from models.common.files import made_folder, reading, whole_file
 from synth.controller.controller import AnyController
 
 NAME, RESULTS, LOCK, PARTS = "plan.json", "results.parquet", ".lock", "parts"
-LEFT = ".*.part*"  # files that were being written when a process was killed, see `whole_file`
+PARTIAL_FILES = ".*.part*"  # files that were being written when a process was killed, see `whole_file`
 EARLIER = "campaign.json"  # the plan in folders of version 0.1
 FULL = "free some space, or give another folder with --results; finished runs are kept"
 ELSEWHERE = "give a new or empty folder with --results"
@@ -110,7 +110,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     if not path.exists():
         if (folder / PARTS).exists():
             raise InputError(f"{folder} contains parts of a campaign; merge them with --merge, or {instead}")
-        others = sorted(other.name for other in folder.iterdir() if other.name != LOCK and not other.match(LEFT))
+        others = sorted(other.name for other in folder.iterdir() if other.name != LOCK and not other.match(PARTIAL_FILES))
         if others:
             raise InputError(f"{folder} contains no campaign, but other files such as {others[0]}; {instead}")
         return None
@@ -131,7 +131,7 @@ def gains_of(controllers: Mapping[str, Mapping[str, AnyController]]) -> dict[str
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
@@ -149,7 +149,7 @@ def locked(folder: Path) -> Iterator[None]:
                     "wait for it, or give another folder with --results"
                 ) from error
         try:
-            for left in folder.glob(LEFT):
+            for left in folder.glob(PARTIAL_FILES):
                 left.unlink()
             yield
         finally:

@@ -78,7 +78,7 @@ def check_overlap(folder: Path, parts: Sequence[CampaignPart]) -> None:
         )
 
 
-def unfinished(folder: Path, of: int) -> list[int]:
+def unfinished_parts(folder: Path, of: int) -> list[int]:
     """Returns the numbers of the parts that have no results yet."""
     return [number for number in range(1, of + 1) if not (CampaignPart(of, number).folder(folder) / RESULTS).exists()]
 
@@ -125,7 +125,7 @@ def check_complete(folder: Path, parts: Sequence[CampaignPart]) -> None:
     if not parts:
         raise InputError(f"--merge: {folder} contains no parts of a campaign; run them with --part, as in --part 1/40")
     of = parts[0].of
-    if left := unfinished(folder, of):
+    if left := unfinished_parts(folder, of):
         begun = {part.number for part in parts}
         kinds = {"missing": [one for one in left if one not in begun], "not finished": [one for one in left if one in begun]}
         found = [f"{parts_text(some, of)} {'is' if len(some) == 1 else 'are'} {kind}" for kind, some in kinds.items() if some]

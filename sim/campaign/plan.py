@@ -21,7 +21,7 @@ from sim.campaign.samples import Values, with_sample
 from sim.drive.loop import runs_at_once
 from synth.controller.controller import AnyController
 
-LOST = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
+LOST_TIME = 5.0  # s of a worker's time in a batch, about: what an interruption may lose
 RATE = Field[float]("speed", float, ".3g", unit="steps/s")
 FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 16 than by 64, each
 TOGETHER = 64  # runs in a row that one part of a campaign has, if there are enough
@@ -252,7 +252,7 @@ class Progress:
 
     def add(self, runs: int, took: float) -> None:
         """Shows that some more are done, by one worker in so many seconds."""
-        self._next = min(self._most, max(FEWEST, round(LOST * runs / max(took, 1e-9))))
+        self._next = min(self._most, max(FEWEST, round(LOST_TIME * runs / max(took, 1e-9))))
         self.done += runs
         left = (self.total - self.done) * self.steps / self.rate
         clock = f"{int(left // 3600)}:{int(left // 60 % 60):02d}:{int(left % 60):02d}"

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from models.characteristics.adjustable_range import CURVED
+from models.characteristics.adjustable_range import CURVE_KEYS
 from models.common.arrays import Array
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
 from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
@@ -23,7 +23,7 @@ from sim.campaign.law_keys import drawn_entry, law_values
 
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
-OF_DAMPERS = (*CURVED, "bandwidth")  # of [actuators], which are sampled, too
+OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 
 Values = Mapping[str, float]  # drawn, by name
@@ -73,7 +73,7 @@ class Sampler:
         for name, entry in table.items():
             relative, ends, quantiles[name] = _distribution(f"{where} {name}", name, entry, units.get(name, ""))
             if name not in own:
-                raise InputError(f"{where} {quoted(name)} cannot be sampled; sample one of {listing(own)}")
+                raise InputError(f"{where} {short_repr(name)} cannot be sampled; sample one of {list_names(own)}")
             value = own[name]
             if relative and value is None:
                 raise InputError(f"{where} the file gives no {name}, so its distribution cannot be relative; omit relative")
@@ -120,7 +120,7 @@ def read_samples(
         controller = unicodedata.normalize("NFC", written)
         if controller not in controllers:
             raise InputError(
-                f"[samples.controllers] the campaign has no controller {quoted(controller)}; it has {listing(controllers)}"
+                f"[samples.controllers] the campaign has no controller {short_repr(controller)}; it has {list_names(controllers)}"
             )
         for name, vehicle in vehicles.items():
             of_laws[name][controller] = _variants(controller, table, name, vehicle, sampler)
@@ -172,7 +172,7 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     relative = bool(relative)
     values = entry[shapes[0]] if len(shapes) == 1 and shapes[0] in DISTRIBUTIONS else None
     if not isinstance(values, list) or len(values) != 2:
-        raise InputError(f"{where} = {quoted(entry)} is not a distribution; {give}")
+        raise InputError(f"{where} = {short_repr(entry)} is not a distribution; {give}")
     a, b = (SI("" if relative else unit, low=-1e12, high=1e12).number(f"{where}: {shapes[0]}", value) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(f"{where}: {shapes[0]} = [{a:g}, {b:g}] has no width; give low < high, or a standard deviation above 0")
@@ -189,7 +189,7 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
         own = [one for one in vehicle.parts.adjustable if one.damper.replaces]
-        curved = {one for one in own if name in CURVED and one.damper.pair is not None}
+        curved = {one for one in own if name in CURVE_KEYS and one.damper.pair is not None}
         values: dict[SettablePart, Any] = {one: None if one in curved else getattr(one.damper, name) for one in own}
         if len(set(values.values())) == 1:
             quantities[name] = (next(iter(values.values())), [one.force for one in values])

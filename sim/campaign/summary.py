@@ -19,7 +19,7 @@ from models.document.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import PythonLaw
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.campaign.batch import FAILED
+from sim.campaign.batch import FAILED_LAW
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign
 from sim.campaign.plan import Candidate, Plan
@@ -30,7 +30,7 @@ from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.standing import (
     FIELDS,
     FORCES,
-    Standing,
+    Score,
     columns_of,
     digits,
     headline,
@@ -50,9 +50,9 @@ def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
     return headlines | {name: () for name in (ACROSS, UP) if name not in headlines}
 
 
-def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
+def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
     """Returns the standings of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
-    standings: dict[str, dict[Candidate, Standing]] = {}
+    standings: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
         table = store.read(metrics)
@@ -66,7 +66,7 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
     return standings
 
 
-Standings = Mapping[str, Mapping[Candidate, Standing]]  # by vehicle
+Standings = Mapping[str, Mapping[Candidate, Score]]  # by vehicle
 
 
 def compared_lines(campaign: Campaign, standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
@@ -112,8 +112,8 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     for block in plan.blocks:
         runs = slice(block.start, block.stop)
         why = [reason for reason in reasons[runs] if reason is not None]
-        failures = [reason.removeprefix(FAILED) for reason in why if reason.startswith(FAILED)]
-        broke = [reason for reason in why if not reason.startswith(FAILED)]
+        failures = [reason.removeprefix(FAILED_LAW) for reason in why if reason.startswith(FAILED_LAW)]
+        broke = [reason for reason in why if not reason.startswith(FAILED_LAW)]
         entry: dict[str, Any] = {"vehicle": block.vehicle, "controller": block.controller, "road": block.road.text}
         entry |= {"speed": block.speed, "runs": block.stop - block.start, "left": int(ended[runs].sum())}
         entry |= {"broke_off": len(broke), "first_reason": next(iter(broke), None)}

@@ -14,7 +14,7 @@ from sim.campaign import HERE
 from sim.campaign.batch import Rows, run_batch
 from sim.campaign.plan import Plan
 
-Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
+BatchResult = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
 ANSWER = 3.0  # s that a cluster's head may take to answer
 TOKEN = "start a cluster with ray start --head; if it uses tokens, as Ray 2.60 does by default, set RAY_AUTH_MODE=token here, too"
 RETRIES = 5  # of a batch whose Ray worker dies
@@ -27,7 +27,7 @@ def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     return run_batch(plan, start, stop, stopped), time.monotonic() - began
 
 
-def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Generator[Done]:
+def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Generator[BatchResult]:
     """Runs batches on threads, and yields each when it is complete. MuJoCo and NumPy work outside Python's lock."""
     from models.common.children import kill_children
 
@@ -82,7 +82,7 @@ def _check_address(address: str) -> None:
         ) from error
 
 
-def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[Done]:
+def on_ray(plan: Plan, batches: Iterator[tuple[int, int]]) -> Generator[BatchResult]:
     """Runs batches on the Ray cluster that is joined. A batch whose worker dies runs again."""
     import ray  # pyright: ignore[reportMissingImports] - an extra
 

@@ -18,9 +18,9 @@ from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.drive.regime import FLAT, REGIME_ENDS, reached
+from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
-from sim.runs.report import FEW, describe_run, sentences, shared
+from sim.runs.report import FEW, describe_run, sentences, share_statements
 from sim.runs.run import Run, run_controllers
 from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
@@ -30,7 +30,7 @@ from synth.controller.report import study_notes
 if TYPE_CHECKING:
     from models.common.logs.measured_log import MeasuredLog
     from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.ride.standing import Standing
+    from sim.studies.ride.standing import Score
 
 
 def controllers_of(
@@ -111,7 +111,7 @@ def _first(claims: Sequence[str]) -> str:
 LOGS = "logs for Rerun and for Foxglove or Lichtblick, which import the .layout.json"
 
 
-def recorded(
+def record_command_runs(
     options: argparse.Namespace,
     vehicle: Vehicle,
     controllers: Sequence[str],
@@ -253,7 +253,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
         return [line for one in documents for line in ["", *text_lines(one, "full")]]
     few = len(runs) <= FEW
     said = [(run.controller.name, one) for run in runs for one in sentences(run, full=False) if one.detail == "normal"]
-    lines = text_lines(Document("", shared(each for each in said if few or each[1].state == "fails")))
+    lines = text_lines(Document("", share_statements(each for each in said if few or each[1].state == "fails")))
     if not few:
         margins = {run.controller.name: law_margins(run.vehicle, run.controller) for run in runs}
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
@@ -268,7 +268,7 @@ def standings_of(
     measured: "Sequence[RunMetrics]" = (),
     without: Sequence[str] = (),
     title: str = "",
-) -> "list[Standing]":
+) -> "list[Score]":
     """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
@@ -278,7 +278,7 @@ def standings_of(
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import standing, strokes_used, without_unsound
+    from sim.studies.ride.standing import score_of, strokes_used, without_unsound
 
     road, (first, end) = runs[0].road, samples
     known: dict[int, Mapping[str, float | None]] = {
@@ -296,9 +296,9 @@ def standings_of(
     for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
         values = known.get(id(response))
         if values is None:
-            broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
+            broken = math.isfinite(response.diverged) or math.isfinite(end_times(vehicle, response)[REGIME_ENDS.index(FLAT)])
             values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
-        one = standing(vehicle, name, values)
+        one = score_of(vehicle, name, values)
         strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
         standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
     return without_unsound(standings, [run.controller.name for run in runs if run.controller.growth])

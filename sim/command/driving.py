@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
-from models.common.command import chosen_of, complain, print_json, remarked
+from models.common.command import chosen_of, complain, print_json, print_remarks
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
-from models.common.printed import say, titled
+from models.common.printed import say, title_lines
 from models.document.document import Document, Statement
-from models.document.outputs import check_outputs, written, written_lines
+from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import text_lines
 from models.roads.road import Road
 from models.vehicle.names import logged_variant, named_files, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.road_options import end_lines, gaps, started, starts_later
+from sim.command.road_options import end_lines, gaps, starts_later, with_start
 from sim.drive.response import Response
-from sim.runs.report import FEW, HALF_STEP, RUN, shared, verdicts
+from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
 from sim.studies.ride.standing import record_of_standings, standing_lines
 from synth.vehicle.designer import Designer
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class VehicleRuns:
     """The runs of one vehicle file.
 
     Attributes:
@@ -65,7 +65,7 @@ class Driven:
     def shown(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
         pairs = zip(self.runs, self.without, strict=True)
-        return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
+        return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
 
     def logged(self) -> dict[str, Run]:
         """Returns the runs by their names in a log."""
@@ -83,7 +83,7 @@ class Driven:
         ]
 
 
-def _named(run: Run, name: str) -> Run:
+def _rename_run(run: Run, name: str) -> Run:
     if run.controller.name == name:
         return run
     controller: Any = run.controller  # each kind of driver is a dataclass with a name
@@ -108,7 +108,7 @@ def drive(
     names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
     _check_variants(options, vehicles)
     times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
-    roads = {title: remarked(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
+    roads = {title: print_remarks(road_of(vehicle, options, times[title])) for title, vehicle in vehicles.items()}
     time, road = next(iter(times.values())), next(iter(roads.values()))
     if rides:
         FEATURES.load("step response").check_band(road, options.band, "band" in options.given)
@@ -121,12 +121,14 @@ def drive(
     files += [options.beside] if log else []
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
 
-    driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
+    driven = [
+        _drive_vehicle(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()
+    ]
     runs = [run for each in driven for run in each.runs]
     shown = [run for each in driven for run in each.shown]
     measured, beside = None, {}
     if log is not None:
-        measured = remarked(
+        measured = print_remarks(
             FEATURES.load("comparison with a measured log").compare_log(
                 log, runs, options.beside_start, options.beside_remove_offset
             )
@@ -164,7 +166,7 @@ def drive(
     for each in driven:
         controllers = list(dict.fromkeys(run.controller.name for run in each.runs))
         of_log = partial(lambda title: result(title) | beside, each.title)
-        logs.append(comparison.recorded(options, each.vehicle, controllers, each.logged, of_log, aligned))
+        logs.append(comparison.record_command_runs(options, each.vehicle, controllers, each.logged, of_log, aligned))
     outputs = comparison.write_histories(options, shown, where(road), aligned)
     standings = [
         one
@@ -177,13 +179,13 @@ def drive(
         if left := sorted({name for one in results for name in one.get("left_out", ())}):
             whole["left_out"] = left
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": record_of_standings(standings), "unstable": unstable, **written(outputs), "logs": paths}
+        last = {"compared": record_of_standings(standings), "unstable": unstable, **output_paths(outputs), "logs": paths}
         print_json(whole | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
         sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
-        lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
+        lines = title_lines(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         if rides:
             lines += end_lines(road, options.duration)
         lines += _above(options, driven, start, end)
@@ -213,7 +215,7 @@ def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
         InputError: a vehicle file, or one that is given twice.
     """
     given = options.vehicles
-    vehicles = [started(remarked(read_vehicle(file)), vars(options).get("start", ())) for file in given]
+    vehicles = [with_start(print_remarks(read_vehicle(file)), vars(options).get("start", ())) for file in given]
     if len(given) == 1:
         return {"": vehicles[0]}
     stems = [Path(file).stem for file in given]
@@ -238,7 +240,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
         raise InputError("--open and --serve show the recording of one vehicle, but several are given; give one --vehicle")
 
 
-def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> Driven:
+def _drive_vehicle(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> VehicleRuns:
     """Runs the controllers of a vehicle file, and those of `--without`."""
     design = Designer(vehicle, search=False).design
     runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
@@ -248,10 +250,10 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
         if own is not vehicle and some:
             runs += run_controllers(own, [drivers[name] for name in some], road, time)
             parts += [part] * len(some)
-    return Driven(vehicle, title, names, runs, parts, passive_beside(runs[: parts.count("")], design))
+    return VehicleRuns(vehicle, title, names, runs, parts, passive_beside(runs[: parts.count("")], design))
 
 
-def _result(options: Namespace, each: Driven, measured: tuple[float, float | None]) -> dict[str, Any]:
+def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float | None]) -> dict[str, Any]:
     """Returns the result of a vehicle for its log and JSON, with its ride between two times [s], the last None for the end."""
     road, time = each.runs[0].road, each.runs[0].prediction.time
     result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
@@ -271,7 +273,7 @@ def _result(options: Namespace, each: Driven, measured: tuple[float, float | Non
     return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
 
 
-def _above(options: Namespace, driven: Sequence[Driven], start: float, end: float) -> list[str]:
+def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
     """Returns the lines above the table: with `-v` every run in full, else what is special about some.
 
     Args:
@@ -295,7 +297,7 @@ def _above(options: Namespace, driven: Sequence[Driven], start: float, end: floa
         lines += comparison.run_lines(shown)
         if metrics:
             ride = FEATURES.load("ride of a run")
-            left = [(run.controller.name, Statement(line)) for run in shown for line in ride.broken(run)]
-            lines += text_lines(Document("", shared(left)))
+            left = [(run.controller.name, Statement(line)) for run in shown for line in ride.broken_off_sentence(run)]
+            lines += text_lines(Document("", share_statements(left)))
             lines += ["", *told] if (told := text_lines(ride.summary(shown, metrics))) else []
     return lines

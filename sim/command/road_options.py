@@ -11,7 +11,7 @@ from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
 from models.common.errors import InputError, error_in
 from models.common.extensions import FEATURES
-from models.common.printed import percent, rough, wrapped
+from models.common.printed import percent, rough, wrap_text
 from models.vehicle.names import CLASSES, FILE, PLUS, ROAD_SYNTAX, WITHOUT, named_file, split_off
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def add_start(parser: Parser) -> None:
     )
 
 
-def started(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
+def with_start(vehicle: "Vehicle", texts: Sequence[str]) -> "Vehicle":
     """Returns the vehicle with the start of `--start`, or of its file without one."""
     if not texts:
         return vehicle
@@ -195,9 +195,9 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     if road.points is None or math.isclose(ends, duration, rel_tol=FEATURES.load("ride of a run").NEARLY):
         return []
     if ends > duration:
-        return wrapped(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
+        return wrap_text(f"The run covers {percent(duration / ends)} of the road; --duration {rough(ends)} covers the whole road")
     lower = f"the points of the road end at {rough(ends)} s of {duration:g} s. The straight road after them lowers every rms"
-    return wrapped(f"{lower}; --duration {rough(ends)} ends the run at the road's last point")
+    return wrap_text(f"{lower}; --duration {rough(ends)} ends the run at the road's last point")
 
 
 def road_text(options: argparse.Namespace) -> str:

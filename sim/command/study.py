@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from models.common.command import Parser, chosen, one_chosen, print_json, remarked
+from models.common.command import Parser, chosen_controllers, one_chosen, print_json, print_remarks
 from models.common.printed import Stages, say
 from sim.studies.registry import command_of, study
 from sim.studies.study import StudyRequest
@@ -25,21 +25,21 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     parser = Parser(command_of(name), one.description, one.epilog, one.page)
     one.add_options(parser)
     options = parser.parse_args(arguments)
-    from models.document.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, output_paths, written_lines
     from models.vehicle.names import named_files
-    from sim.command.comparison import left_out_object, log_lines, recorded, warn_invalid_certificates
+    from sim.command.comparison import left_out_object, log_lines, record_command_runs, warn_invalid_certificates
     from sim.command.road_options import left_out_lines, omitted_controllers
 
     given, request, several = None, StudyRequest(options), one.takes == "several"
     if one.takes:
         from models.vehicle.vehicle import read_vehicle
 
-        given = remarked(read_vehicle(options.vehicle))
+        given = print_remarks(read_vehicle(options.vehicle))
         if not several:
             names = [one_chosen(given.controller_names, options.controller)]
         else:
             usual = [each for each in one.usual if each in given.controller_names]
-            names = chosen(given.controller_names, options.controller, usual)
+            names = chosen_controllers(given.controller_names, options.controller, usual)
         request = replace(request, vehicle=one.vehicle(given, names), names=names)
     one.check(request)
     outputs = {key: getattr(options, key) for key in ("csv", "picture") if hasattr(options, key)}
@@ -61,16 +61,23 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         write_picture(one.figure(request, result), options.picture)
     whole = {}
     if options.json or logs.get("logs") is not None:
-        whole = {**one.record(request, result), **left_out_object(request.names, driven), **written(outputs)}
+        whole = {**one.record(request, result), **left_out_object(request.names, driven), **output_paths(outputs)}
     if logs and given is not None:
-        logs = recorded(options, one.recorded_vehicle(given), driven, lambda: one.runs(request, result), lambda: whole)
+        logs = record_command_runs(options, one.recorded_vehicle(given), driven, lambda: one.runs(request, result), lambda: whole)
         whole = {**whole, "logs": logs}
     stage.end()
     if options.json:
         print_json(whole)
     else:
         lines = one.lines(request, result, [*written_lines(outputs), *log_lines([logs])])
-        say(lines + (left_out_lines(omitted_controllers(given, options.controller, request.names)) if several and given is not None else []))
+        say(
+            lines
+            + (
+                left_out_lines(omitted_controllers(given, options.controller, request.names))
+                if several and given is not None
+                else []
+            )
+        )
     return 0 if one.holds(result) and len(driven) == len(request.names) else 1
 
 

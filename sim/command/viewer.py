@@ -16,13 +16,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from models.common.errors import InputError
-from models.common.printed import pasted
+from models.common.printed import shell_line
 
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOOPBACK = "127.0.0.1"
-STARTING = 60.0  # s that the web viewer may take until it answers
-FAILING = 2.0  # s within which a window that cannot open has said so
-ENDING = 3.0  # s that it may take to end before it is killed
+STARTING_TIME = 60.0  # s that the web viewer may take until it answers
+FAILING_TIME = 2.0  # s within which a window that cannot open has said so
+ENDING_TIME = 3.0  # s that it may take to end before it is killed
 
 
 def check_display() -> None:
@@ -50,7 +50,7 @@ def open_viewer(recording: Path) -> None:
         except OSError as error:
             raise InputError(f"--open: {command[0]} cannot be started ({error.strerror or error}); install rerun-sdk") from error
         with suppress(subprocess.TimeoutExpired):
-            if process.wait(FAILING):  # closed at once by the user, it ends with 0
+            if process.wait(FAILING_TIME):  # closed at once by the user, it ends with 0
                 said.seek(0)
                 raise InputError(
                     f"--open: Rerun's window did not open ({_reason(said.read())}); use --serve, and open the printed page. "
@@ -84,14 +84,14 @@ def serve_viewer(recording: Path) -> None:
         _wait_until_up(process, f"http://{LOOPBACK}:{page}")
         print(f"serving http://{LOOPBACK}:{page}?url={source}   press Ctrl-C to stop", file=sys.stderr, flush=True)
         process.wait()
-        raise InputError(f"Rerun's web viewer ended unexpectedly; start it with {pasted(command)}")
+        raise InputError(f"Rerun's web viewer ended unexpectedly; start it with {shell_line(command)}")
     except KeyboardInterrupt:
         return
     finally:
         for end in (process.terminate, process.kill):
             end()
             with suppress(subprocess.TimeoutExpired):
-                process.wait(ENDING)
+                process.wait(ENDING_TIME)
                 break
 
 
@@ -116,7 +116,7 @@ def _free_ports(count: int) -> list[int]:
 
 def _wait_until_up(process: subprocess.Popen, address: str) -> None:
     """Waits until a page answers."""
-    deadline = time.monotonic() + STARTING
+    deadline = time.monotonic() + STARTING_TIME
     while time.monotonic() < deadline and process.poll() is None:
         try:
             with urllib.request.urlopen(address, timeout=5.0):

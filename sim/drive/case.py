@@ -164,17 +164,17 @@ def batch_of(
         halves = np.arange(2 * (len(time) + ahead)) * (inputs[0].timestep / 2)
         heights = np.empty((len(halves), count, len(vehicles[0].kind.wheels)))
         for i, road in enumerate(inputs):
-            heights[:, i] = under_wheels(road.felt.displacement, road.felt, road.vehicle, halves)
-            if isinstance(road.felt, Departure):
+            heights[:, i] = under_wheels(road.relative_road.displacement, road.relative_road, road.vehicle, halves)
+            if isinstance(road.relative_road, Departure):
                 heights[1::2, i] = road.held_heights(halves[1::2])
         now, midway, beyond = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2], heights[2 * len(time) :: 2]
         if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
             velocities = np.stack([road.velocities for road in inputs], axis=1)
     else:
         same = _same_roads(inputs) if count > 1 else inputs
-        now, midway, velocities = (np.stack([getattr(one, name) for one in same], axis=1) for name in KEPT)
+        now, midway, velocities = (np.stack([getattr(one, name) for one in same], axis=1) for name in ROAD_ARRAYS)
         beyond = np.stack([road.ahead(ahead) for road in same], axis=1)
-    held = np.stack([road.held for road in inputs], axis=1) if any(road.pushed for road in inputs) else None
+    held = np.stack([road.held for road in inputs], axis=1) if any(road.has_held_inputs for road in inputs) else None
     effects = None
     if any(road.loaded for road in inputs):
         effects = np.stack([road.in_signals for road in inputs], axis=1), np.stack([road.in_readings for road in inputs], axis=1)
@@ -200,7 +200,7 @@ def batch_of(
     )
 
 
-KEPT = ("heights", "midway", "velocities")  # of `RoadInput`
+ROAD_ARRAYS = ("heights", "midway", "velocities")  # of `RoadInput`
 
 
 def _same_roads(inputs: Sequence[RoadInput]) -> list[RoadInput]:

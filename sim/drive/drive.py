@@ -81,7 +81,7 @@ def drive(
         serial = any(one.serial for one in batch.drivers)
         shares = _shares(len(numbers), 1 if serial else threads or cores())
         parts = [batch] if len(shares) == 1 else [batch.part(runs) for runs in shares]
-        pieces = [functools.partial(_observed, loop, part, edges, observers) for part in parts]
+        pieces = [functools.partial(_results_of, loop, part, edges, observers) for part in parts]
         if len(pieces) == 1:
             done = [(0, pieces[0](stopped))]
         else:
@@ -120,18 +120,18 @@ def _shares(count: int, threads: int) -> list[slice]:
     return [slice(*pair) for pair in itertools.pairwise(edges)]
 
 
-def _observed(
+def _results_of(
     loop: Loop, batch: Batch, edges: Sequence[int], observers: Sequence[Callable[[Batch], Observer]], stopped: Callable[[], bool]
 ) -> list[Sequence[Any]]:
     """Returns the results of all observers of a batch, or of a part."""
     watching = [make(batch) for make in observers]
-    for block in _completed(loop, batch, edges, stopped):
+    for block in _complete_blocks(loop, batch, edges, stopped):
         for one in watching:
             one.take(block)
     return [one.result() for one in watching]
 
 
-def _completed(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
+def _complete_blocks(loop: Loop, batch: Batch, edges: Sequence[int], stopped: Callable[[], bool]) -> Iterator[Block]:
     """Yields the blocks with the road's velocities and the steady motion; values of runs that have diverged are finite."""
     kind, end = batch.vehicles[0].kind, 0
     names = [signal.name for signal in kind.signals]

@@ -60,10 +60,12 @@ class Jumps:
             self.elements = {forces[one.column]: one for one in range_of(vehicles).elements}
         self.places = index
         # Velocity of a damper's suspension: its share of every state, by place. Vehicles side by side have the same geometry.
-        rows = {force: one.ratio * model.A[model.states.index(vehicle.kind.pushed(force))] for force, one in dampers.items()}
+        rows = {
+            force: one.ratio * model.A[model.states.index(vehicle.kind.deflection_of(force))] for force, one in dampers.items()
+        }
         self.rates = {force: {index[model.states[i]]: row[i] for i in np.flatnonzero(row)} for force, row in rows.items()}
         self.ratios = MotionRatios(vehicles)
-        self.along = {force: index[vehicle.kind.pushed(force)] for force in self.ratios.over_travel}
+        self.along = {force: index[vehicle.kind.deflection_of(force)] for force in self.ratios.over_travel}
         lagging = {force for force, one in dampers.items() if one.damper.bandwidth is not None}
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)

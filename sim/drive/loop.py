@@ -26,7 +26,7 @@ from sim.drive.sensor_readout import (
     beside_reading,
     hardware,
     mix,
-    prepared,
+    prepared_readout,
     sensed_stage,
     state_at_start,
     states_of_parts,
@@ -35,7 +35,7 @@ from sim.drive.sensor_readout import (
 if TYPE_CHECKING:
     from sim.drive.part_steps import PartBatch
 
-DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
+DIVERGENCE_LIMIT = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
 MOST_HEIGHTS = 5_200_000  # road heights of runs in blocks, 16 bytes each: 256 quarter-cars for 20 s at 1 ms
 
@@ -52,7 +52,7 @@ class Block:
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
         overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
         requested_force: commands of the actuators, see `sim.drive.actuators`, shape (B, N, m) or (B, N, 2 m).
-        kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
+        law_states: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
         measured: signals at the controllers' samples as they are read, without noise and quantisation, then closing velocities,
             shape (B, N, s); NaN at the other timesteps.
         names: names of `measured`.
@@ -66,7 +66,7 @@ class Block:
     largest: Array
     overflowed: Array
     requested_force: Array
-    kept: Array
+    law_states: Array
     measured: Array
     names: tuple[str, ...]
     others: Mapping[int, Array] = field(default_factory=dict[int, Array])
@@ -81,21 +81,21 @@ class Block:
     @property
     def law_diverged(self) -> Array:
         """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,): they overflowed,
-        and every physical signal was still within `DIVERGED`.
+        and every physical signal was still within `DIVERGENCE_LIMIT`.
         """
         wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
-        return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGED)
+        return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGENCE_LIMIT)
 
     @property
     def _beyond_limits(self) -> Array:
         """Returns True at the samples that a run does not go beyond, shape (B, N)."""
-        return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
+        return ~(self.largest < DIVERGENCE_LIMIT) | self.overflowed  # NaN compares as wild
 
     def clip(self, gone: Array) -> None:
-        """Clips values at the samples of a mask, shape (B, N), to `DIVERGED`, in place, and replaces NaN by 0."""
+        """Clips values at the samples of a mask, shape (B, N), to `DIVERGENCE_LIMIT`, in place, and replaces NaN by 0."""
         runs = gone.any(axis=0)
         values = self.values[..., runs]
-        finite = np.clip(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), -DIVERGED, DIVERGED)
+        finite = np.clip(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0), -DIVERGENCE_LIMIT, DIVERGENCE_LIMIT)
         self.values[..., runs] = np.where(gone[:, None, runs], finite, values)
 
 
@@ -115,7 +115,7 @@ class Loop:
         """Prepares what all parts of a batch have in common."""
         first, timestep = batch.vehicles[0], batch.timestep
         self.timestep = timestep
-        self.model, self.readout = prepared(first, timestep)
+        self.model, self.readout = prepared_readout(first, timestep)
         distinct = {id(other): other for other in batch.vehicles}
         self.hardware, self.models = dict[int, tuple[object, ...]](), dict[tuple[object, ...], mujoco.MjModel]()
         if len(distinct) > 1:
@@ -175,7 +175,7 @@ class Loop:
             return case.start
         model, readout = self.model, self.readout
         if self.models:
-            model, readout = prepared(vehicle, self.timestep)
+            model, readout = prepared_readout(vehicle, self.timestep)
         motion = state_at_start(vehicle, model, readout)
         assert motion is not None, "it has a start"
         none = np.zeros(0)
@@ -229,13 +229,13 @@ class Loop:
         computers, undelayed = self._computers(batch, actuators)
         signals_of, now, midway = _Signals(self, vehicles, actuators), batch.now, batch.midway
         in_signals, in_readings = (None, None) if batch.effects is None else batch.effects
-        felt, of_reading = readout.felt, self._map(actuators)
+        felt, of_reading = readout.has_road_feedthrough, self._map(actuators)
         controls, heights, sensors = physics.bind("ctrl"), physics.bind("mocap_pos")[:, :, 2], physics.bind("sensordata").T
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
         motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")  # (qpos, qvel) after the time
         own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
         measured, held = physics.bind("sensordata")[:, self.sensors], batch.held
-        pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.pushed), readout.damped_tyres
+        pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
         # Accelerations of runs with loads are others inside the step, under another load.
@@ -264,7 +264,7 @@ class Loop:
             readings, requested = np.empty((length, count, width)), np.empty((length, count, actuators.size))
             roads, sensed = np.zeros((length, *heights.shape)), np.empty((length + 1, *sensors.shape))
             roads[..., readout.mocap], sensed[0] = midway[block], sensors
-            kept, seen = np.zeros((length, count, states)), np.full((length, count, of_reading.shape[1]), np.nan)
+            law_states, seen = np.zeros((length, count, states)), np.full((length, count, of_reading.shape[1]), np.nan)
             acts, others = np.empty((length if actuators.lags else 0, *activations.shape)), dict[int, Array]()
             for i in range(length):
                 if stopped():
@@ -274,7 +274,7 @@ class Loop:
                 if k in sampled:
                     if fresh:
                         if in_readings is not None:
-                            pushed[:, readout.pushed] = in_readings[k, :, :loads]
+                            pushed[:, readout.load_dofs] = in_readings[k, :, :loads]
                         heights[:, readout.mocap] = level[i]
                         physics.forward()
                     if stage:
@@ -297,11 +297,11 @@ class Loop:
                 actuators.apply(controls, acting)
                 if states:
                     for computer in computers:
-                        kept[i, computer.runs, : computer.used.shape[1]] = computer.used
+                        law_states[i, computer.runs, : computer.used.shape[1]] = computer.used
                 if actuators.lags:
                     acts[i] = activations
                 if held is not None:
-                    pushed[:, readout.pushed] = (held if in_signals is None else in_signals)[k, :, :loads]
+                    pushed[:, readout.load_dofs] = (held if in_signals is None else in_signals)[k, :, :loads]
                     if tyres:
                         controls[:, tyres] = held[k][:, speeds]
                 if felt or in_signals is not None:
@@ -315,7 +315,7 @@ class Loop:
                     physics.forward()
                     others[k] = signals_of(sensors[None], reading[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
                 if in_signals is not None and held is not None:
-                    pushed[:, readout.pushed] = held[k, :, :loads]
+                    pushed[:, readout.load_dofs] = held[k, :, :loads]
                 heights[...] = roads[i]
                 physics.step(stage=self.after)
                 if not felt:
@@ -326,9 +326,9 @@ class Loop:
                 # The evaluation after a step has overwritten the step's own readings with those before the next step.
                 sensed[1:, early] = sensed[:-1, early]
             values = signals_of(sensed[1:], readings, level, midway[block], before, requested, acts)
-            largest, overflowed = signals_of.extremes(values, requested, kept)
+            largest, overflowed = signals_of.extremes(values, requested, law_states)
             positions, velocities = readings[..., :nq], readings[..., nq:moved]
-            yield Block(start, values, positions, velocities, largest, overflowed, requested, kept, seen, names, others)
+            yield Block(start, values, positions, velocities, largest, overflowed, requested, law_states, seen, names, others)
 
 
 class _Signals:
@@ -344,7 +344,7 @@ class _Signals:
         self.of_parts = self.place @ readout.of_parts
         self.wheels = [names.index(wheel.road_displacement) for wheel in first.kind.wheels]
         self.inside = readout.stage > loop.after
-        self.unclipped = np.array([_unclipped(one) for one in vehicles]).T
+        self.unclipped = np.array([_acts_without_limit(one) for one in vehicles]).T
 
     def __call__(
         self, sensed: Array, readings: Array, level: Array, midway: Array, before: Array, commands: Array, activations: Array
@@ -361,7 +361,7 @@ class _Signals:
         mix(place @ readout.of_sensors, sensed, values)
         values -= (place @ readout.rest)[:, None]
         mix(self.of_parts, np.moveaxis(readings[..., readings.shape[2] - self.of_parts.shape[1] :], 1, 2), values)
-        if not readout.felt:
+        if not readout.has_road_feedthrough:
             mix(place[:, inside] @ readout.of_road[inside], np.moveaxis(level - midway, 1, 2), values)
             if self.after:
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level - before, 1, 2), values)
@@ -369,21 +369,21 @@ class _Signals:
         self.actuators.record(values, commands, activations)
         return values
 
-    def extremes(self, values: Array, commands: Array, kept: Array) -> tuple[Array, Array]:
+    def extremes(self, values: Array, commands: Array, law_states: Array) -> tuple[Array, Array]:
         """Returns `Block.largest` and `Block.overflowed`."""
         physical = values[:, self.physical]
         largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
-        overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(kept).all(axis=2)))
+        overflowed = np.asarray(~(np.isfinite(commands).all(axis=2) & np.isfinite(law_states).all(axis=2)))
         # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
         for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
             largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
         return largest, overflowed
 
 
-def _unclipped(vehicle: Vehicle) -> list[bool]:
+def _acts_without_limit(vehicle: Vehicle) -> list[bool]:
     """Returns True for every input whose requested force acts without a limit."""
     most = vehicle.limits.actuator_force
-    return [force not in vehicle.dampers and (most is None or most >= DIVERGED) for force in vehicle.linear_model.inputs]
+    return [force not in vehicle.dampers and (most is None or most >= DIVERGENCE_LIMIT) for force in vehicle.linear_model.inputs]
 
 
 def _span(of_sensors: Array) -> slice:

@@ -18,13 +18,13 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.parts.native import MOTOR
-from models.vehicle.mjcf import FITTED
+from models.vehicle.mjcf import FITTED_PREFIX
 from models.vehicle.suspension_forces import SuspensionForces
 from sim.drive.recursion import SHARES, WEIGHTS
 
 AT_VELOCITIES = int(mujoco.mjtStage.mjSTAGE_VEL)
 AT_ACCELERATIONS = int(mujoco.mjtStage.mjSTAGE_ACC)
-SUMMED = np.reshape(WEIGHTS, (-1, 1, 1))
+STAGE_WEIGHTS = np.reshape(WEIGHTS, (-1, 1, 1))
 UNIT = 1024.0  # N, for the response of accelerations, which is linear in the pulls; large, so that rounding is small
 NEARBY = 1e-5  # s, along the present velocities, for how levers change: the error is its square
 
@@ -63,7 +63,7 @@ class PartBatch(Batch):
         self._here, self._there = _Bound(self), _Bound(stages)
         self._pulls, self.z, self._h = pulls, np.zeros((count, pulls.states)), float(model.opt.timestep)
         motors = {model.actuator(i).name: i for i in range(model.nu)}
-        names = [f"{FITTED}{MOTOR}{name}" for name in tendons]
+        names = [f"{FITTED_PREFIX}{MOTOR}{name}" for name in tendons]
         pulled = [i for i, name in enumerate(names) if name in motors]
         self._pulled, self._motors = _span(pulled), _span([motors[names[i]] for i in pulled])
         self._inputs = _Inputs(model, models or [model])
@@ -93,7 +93,7 @@ class PartBatch(Batch):
             x.all += begin.all
             self._there.motion[:] = x.motion
             self._evaluate(self._there, x, i)
-        rates *= SUMMED
+        rates *= STAGE_WEIGHTS
         np.add.reduce(rates, axis=0, out=x.all)
         x.all *= self._h
         x.all += begin.all
@@ -180,7 +180,7 @@ class _Inputs:
     """The acting inputs of N runs, of which MuJoCo clips controls and forces."""
 
     def __init__(self, model: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
-        own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED)]
+        own = [i for i in range(model.nu) if not model.actuator(i).name.startswith(FITTED_PREFIX)]
         self._own, adr = slice(0, len(own)), model.actuator_actadr[own]
         self._lagging, self._states = adr >= 0, adr[adr >= 0]
         self._controls, self._forces = (

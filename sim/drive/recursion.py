@@ -10,7 +10,7 @@ SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)  # of the stages' rates
 
 
-def lagging(commands: Array, z: Array) -> Array:
+def lag_commands(commands: Array, z: Array) -> Array:
     """Returns what lags behind commands at the samples, from 0, as RK4 integrates it, shape (T, m).
 
     Args:
@@ -26,7 +26,7 @@ def lag_stages(now: Array, z: Array) -> list[Array]:
 
     Args:
         now: values at the samples, shape (T, m); without a lag the commands.
-        z: product of lag and timestep, see `lagging`.
+        z: product of lag and timestep, see `lag_commands`.
     """
     way, before, gone = way_in_step(z), now[:-1], np.zeros_like(now[:-1])
     change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()

@@ -24,7 +24,7 @@ AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its li
 # 0.1 m and more, as hubs are 0.3 m and more over their roads.
 JUMP = 0.02
 RATE_REACHED = 1 - 1e-7  # share of a rate limit that counts as reached: behind a lag a command follows from rounded forces
-MISSED = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
+MISSING_FORCE = 1e-3  # N of an adjustable damper: a smaller missing force is rounding
 BLOCK = 200  # samples per block of many runs, so that it stays in the cache
 
 
@@ -206,7 +206,7 @@ DAMPER = End(
     "damper: a semi-active damper first fails to supply the requested force at {when}",
     "#8fbf7f",
     ("Circle", (120, 255, 120)),
-    lambda vehicle: [Threshold(one.missing, 0.0, MISSED) for one in vehicle.parts.adjustable],
+    lambda vehicle: [Threshold(one.missing, 0.0, MISSING_FORCE) for one in vehicle.parts.adjustable],
     exact=True,
 )
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, RATE_LIMIT, FLAT, CURVE, DAMPER)
@@ -394,7 +394,7 @@ class EndDetector:
         return np.where(hub - before > JUMP, road - before, -np.inf)
 
 
-def reached(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
+def end_times(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which physics first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity; leading axes are
     runs. `anti_windup` is that of their law.
     """
@@ -419,7 +419,7 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_wi
 
 
 def first_end(times: Array) -> Array:
-    """Returns the index of the first of `REGIME_ENDS`, -1 if none occurs; from `reached`, shape (..., E) to (...,).
+    """Returns the index of the first of `REGIME_ENDS`, -1 if none occurs; from `end_times`, shape (..., E) to (...,).
 
     For two at one sample it is the first in order.
     """
@@ -431,7 +431,7 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
     `anti_windup` is that of its law.
     """
-    times = reached(vehicle, response, anti_windup)
+    times = end_times(vehicle, response, anti_windup)
     ended = [name for name, when in zip(END_NAMES, times, strict=True) if np.isfinite(when)]
     return (*ended, *((broken_by(response),) if np.isfinite(response.diverged) else ()))
 

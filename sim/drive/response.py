@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import check_fields, plain, validated
-from models.common.errors import InputError, listing, quoted
+from models.common.checks import check_arguments, check_fields, plain
+from models.common.errors import InputError, list_names, short_repr
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.kinds.signals import Signal, is_kept
 from models.vehicle.vehicle import Vehicle
 
@@ -46,7 +46,7 @@ def loudest_alike(sizes: Array, units: Sequence[str], still: float = STILL) -> A
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Response(Shown):
+class Response(ShownResult):
     """Signals over time, measured from static equilibrium.
 
     Attributes:
@@ -72,7 +72,7 @@ class Response(Shown):
             raise InputError(f"values end in shape {self.values.shape[-2:]}, but time and signals need {expected}")
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns samples and runs, and the signals with their units, as a document."""
         times = f", {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         runs = f", {' x '.join(map(str, self.values.shape[:-2]))} runs" if self.values.ndim > 2 else ""
@@ -94,10 +94,10 @@ class Response(Shown):
 
     def _column(self, signal: str) -> int:
         if signal not in self.names:
-            raise InputError(f"the response has no signal {quoted(signal)}; give one of: {listing(self.names)}")
+            raise InputError(f"the response has no signal {short_repr(signal)}; give one of: {list_names(self.names)}")
         return self.names.index(signal)
 
-    @validated
+    @check_arguments
     def run(self, index: int) -> "Response":
         """Returns one run of many.
 
@@ -109,7 +109,7 @@ class Response(Shown):
         before = {name: values[index] for name, values in self.before.items()}
         return Response(self.time, self.signals, self.values[index], before)
 
-    def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":
+    def with_signals(self, signals: tuple[Signal, ...], values: Array) -> "Response":
         """Returns the response with more signals after its own, values of shape (..., T, k), or itself if there are none."""
         if not signals:
             return self
@@ -201,7 +201,7 @@ class Response(Shown):
         frame.attrs["units"] = {signal.name: signal.unit for signal in self.signals}
         return frame
 
-    @validated
+    @check_arguments
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
         """Returns one run as python-control's response: the outputs of its vehicle over its road, by name.
 

@@ -29,7 +29,7 @@ def hardware(vehicle: Vehicle) -> tuple[object, ...]:
 
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
-    model, readout = prepared(vehicle, timestep)
+    model, readout = prepared_readout(vehicle, timestep)
     # A model without a stop, a bar or a ramp cannot hold that of another vehicle.
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
@@ -56,11 +56,12 @@ class Readout:
         of_parts: signals from the own states of parts, shape (S, k).
         of_road: derivative of the signals in the road heights, shape (S, r). They are linear in those.
         rest: values of `of_sensors` at rest, shape (S,).
-        felt: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is then not enough.
+        has_road_feedthrough: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is
+            then not enough.
         mocap: mocap index of every wheel's road.
         stretching: map from qvel to the stretching rate of the inputs' actuators at equilibrium, shape (m, nv).
         lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
-        pushed: degree of freedom along which each load pushes the body.
+        load_dofs: degree of freedom along which each load pushes the body.
         damped_tyres: wheels whose tyres damp, and the actuator of each.
     """
 
@@ -72,16 +73,16 @@ class Readout:
     of_parts: Array
     of_road: Array
     rest: Array
-    felt: bool
+    has_road_feedthrough: bool
     mocap: list[int]
     stretching: Array
     lagging: Array
-    pushed: list[int]
+    load_dofs: list[int]
     damped_tyres: tuple[list[int], list[int]]
 
 
 @functools.lru_cache(maxsize=16)
-def prepared(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
+def prepared_readout(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Readout]:
     """Returns model and readout of a vehicle, cached: a search runs one vehicle hundreds of times. `Batch` copies the model."""
     model = build_model(vehicle, timestep, drawn=False)
     return model, _readout(vehicle, model)
@@ -172,11 +173,11 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         of_parts=np.eye(len(names), own, own - len(names)),
         of_road=np.where(late[:, None], 0.0, of_road),
         rest=rest,
-        felt=felt,
+        has_road_feedthrough=felt,
         mocap=mocap,
         stretching=np.stack(stretching, axis=-1),
         lagging=np.array(model.actuator_actadr[:inputs]),
-        pushed=pushed_dofs(vehicle, model),
+        load_dofs=pushed_dofs(vehicle, model),
         damped_tyres=damped_tyres(vehicle, model),
     )
 

@@ -14,7 +14,7 @@ HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
 # Older logs may lack these; the last two are of vehicles with characteristics.
 SINCE = {"until", "steps", "commands", "cause", "allowed", "stops", "margins", "code_difference", "linearisation", "reference"}
-GONE = {"geometry", "otherwise", "played", "commands"}  # keys of older logs alone, or of a law that a replay does not run
+OLDER_KEYS = {"geometry", "otherwise", "played", "commands"}  # keys of older logs alone, or of a law that a replay does not run
 DIFFERENCES = {"half_step", "code_difference"}  # of two runs that may each be `SAME` of a peak off, and so may they
 LESS = {"residual", "allowed"}  # of an energy balance, which older versions computed with more rounding
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
@@ -75,7 +75,7 @@ def different(said: Any, now: Any) -> Iterator[str]:
             continue
         elif not _equal(there[path], value, SAME if keys & DIFFERENCES else ROUNDING):
             yield path
-    yield from (f"{path} is unknown" for path in there if path not in here and not {*path.split(".")} & GONE)
+    yield from (f"{path} is unknown" for path in there if path not in here and not {*path.split(".")} & OLDER_KEYS)
 
 
 def _equal(said: Any, now: Any, absolute: float) -> bool:

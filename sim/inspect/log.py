@@ -17,9 +17,9 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.files import reading
 from sim.recording.mcap_writer import PACKAGE
-from sim.recording.run_log import CONTINUOUS, FORMAT, MEASURED, MUJOCO, SAMPLED
+from sim.recording.run_log import CONTINUOUS, FORMAT, MEASURED_TOPIC, MUJOCO, SAMPLED
 
-RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS, MEASURED)
+RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS, MEASURED_TOPIC)
 GIVE = "give an .mcap file that a Roadproof command wrote"
 
 

@@ -15,9 +15,16 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, different, is_number, largest_difference, leaves
 from sim.inspect.log import Log, RecordedRun
-from sim.inspect.replay import as_response, implemented, kept, recorded_controller, recorded_vehicle, replay
-from sim.observers.results import ALLOWED, DIFFERENCE
-from sim.recording.run_log import CONTINUOUS, MEASURED, MUJOCO, SAMPLED, WHOLE
+from sim.inspect.replay import (
+    as_response,
+    controller_states,
+    recorded_controller,
+    recorded_vehicle,
+    replay,
+    with_implementation_of,
+)
+from sim.observers.results import ALLOWED_DIFFERENCE, DIFFERENCE
+from sim.recording.run_log import CONTINUOUS, MEASURED_TOPIC, MUJOCO, SAMPLED, WHOLE
 from sim.recording.run_records import claims_of
 from sim.runs.agreement import ROUNDING
 from sim.runs.report import HALF_STEP, RUN, claims, reasons
@@ -34,8 +41,8 @@ from synth.controller.report import (
     notes_on_sampled_loop,
 )
 
-PREDICTED = "rounding"  # of exported code, in results of earlier versions: it is measured now
-REPLAYED = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
+PREDICTED_KEY = "rounding"  # of exported code, in results of earlier versions: it is measured now
+REPLAY_TOLERANCE = 1e-7  # of a signal's peak: how far MuJoCo's new run on another machine may be from the logged one
 OF_CERTIFICATE = ("certificate", "peak_frequency", "poles")  # claims that `check_certificate` checks
 WRONG = (ValueError, ArithmeticError, TypeError, LookupError)  # what numbers and keys that are not a run's come to
 GOALS = "the log does not prove the controller's goals in vehicle.toml ({goals}); check the goals with python -m synth"
@@ -44,7 +51,7 @@ NOT_RUN = "the attached law was not executed; the logged forces were applied"
 
 
 @dataclass(frozen=True, eq=False)
-class Inspected:
+class InspectedRun:
     """A run of a log, checked.
 
     Attributes:
@@ -72,7 +79,7 @@ class Proof:
     log: Log
     vehicle: Vehicle | None
     findings: tuple[Finding, ...]
-    runs: tuple[Inspected, ...]
+    runs: tuple[InspectedRun, ...]
 
     @property
     def broken(self) -> list[str]:
@@ -100,17 +107,17 @@ def prove(log: Log, kinds: Path | None = None) -> Proof:
         vehicle = recorded_vehicle(log, kinds)
     except InputError as error:
         findings.append(Finding("vehicle", MISSING, str(error)))
-        return Proof(log, None, tuple(findings), tuple(Inspected(run, (), None) for run in log.runs))
+        return Proof(log, None, tuple(findings), tuple(InspectedRun(run, (), None) for run in log.runs))
     return Proof(log, vehicle, tuple(findings), tuple(_inspect(log, vehicle, run) for run in log.runs))
 
 
-def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
+def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> InspectedRun:
     """Checks every claim of one run. A step that fails ends what depends on it."""
     try:
-        own = implemented(vehicle, recorded)
+        own = with_implementation_of(vehicle, recorded)
         controller = recorded_controller(log, own, recorded)
     except WRONG as error:
-        return Inspected(recorded, (Finding("controller", FAILS, str(error)),), None)
+        return InspectedRun(recorded, (Finding("controller", FAILS, str(error)),), None)
     findings: list[Finding] = []
     there, here = vars(vehicle.implementation), vars(own.implementation)
     if other := ", ".join(f"{key} {here[key]}" for key in here if here[key] != there[key]):
@@ -126,13 +133,13 @@ def _inspect(log: Log, vehicle: Vehicle, recorded: RecordedRun) -> Inspected:
         again, physics = replay(log, recorded, own, controller)
     except WRONG as error:
         findings.append(Finding("responses", MISSING, f"the run cannot be repeated: {error}"))
-        return Inspected(recorded, tuple(findings), None)
+        return InspectedRun(recorded, tuple(findings), None)
     findings += _findings("responses", _check_responses(recorded, again, physics))
     if not again.prediction.is_linear and any(error is not None for error in recorded.claim("errors").values()):
-        return Inspected(recorded, (*findings, Finding("claims", MISSING, EARLIER)), again)
+        return InspectedRun(recorded, (*findings, Finding("claims", MISSING, EARLIER)), again)
     findings += _findings("claims", _check_claims(recorded, again))
     findings += _findings("result", _check_result(log, recorded, again))
-    return Inspected(recorded, tuple(findings), again)
+    return InspectedRun(recorded, tuple(findings), again)
 
 
 def _findings(part: str, check: Iterator[Finding]) -> list[Finding]:
@@ -176,7 +183,7 @@ def _check_certificate(vehicle: Vehicle, controller: Controller, recorded: Recor
 
 def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iterator[Finding]:
     """Compares the logged responses with the new ones: MuJoCo's, the sampled and the continuous one, road included."""
-    states, end = kept(run.controller), run.broke_off[1] if run.broke_off else math.inf
+    states, end = controller_states(run.controller), run.broke_off[1] if run.broke_off else math.inf
     new = {MUJOCO: physics, SAMPLED: run.prediction.sampled, CONTINUOUS: run.prediction.continuous}
     new = {topic: response for topic, response in new.items() if topic == MUJOCO or not np.isnan(response.values).all()}
     wrong, worst = [], 0.0
@@ -189,12 +196,12 @@ def _check_responses(recorded: RecordedRun, run: Run, physics: Response) -> Iter
             return
         far, signal = largest_difference(logged.until(until), response.until(until))
         worst = max(worst, far)
-        if not far <= (REPLAYED if topic == MUJOCO else ROUNDING):
+        if not far <= (REPLAY_TOLERANCE if topic == MUJOCO else ROUNDING):
             wrong.append(f"{signal} ({topic}) differs from the repeated run by {DIFFERENCE.digits(far)} of its peak")
     for text in wrong:
         yield Finding("responses", FAILS, text)
     if not wrong:
-        how = f"to {ALLOWED.digits(worst)} of a peak" if worst else "bit for bit"
+        how = f"to {ALLOWED_DIFFERENCE.digits(worst)} of a peak" if worst else "bit for bit"
         which = ", ".join({MUJOCO: "MuJoCo", SAMPLED: "sampled", CONTINUOUS: "continuous"}[topic] for topic in new)
         yield Finding("responses", HOLDS, f"the repeated responses ({which}) equal the logged ones {how}")
 
@@ -209,7 +216,7 @@ def _check_claims(recorded: RecordedRun, run: Run) -> Iterator[Finding]:
         if key not in OF_CERTIFICATE
     }
     holds = [one.text for one in reasons(run)]
-    yield from _compared("claims", "the log", logged, now, "claims", holds)
+    yield from _compare_lines("claims", "the log", logged, now, "claims", holds)
 
 
 def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding]:
@@ -229,7 +236,7 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         return
     now = RUN(run) | {"half_step": run.half_step and HALF_STEP(run.half_step)}
     now |= {"road": recorded.claim("road"), "timestep": run.prediction.timestep}
-    said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED)}
+    said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without", PREDICTED_KEY)}
     said |= {"road": result.get("road"), "timestep": result.get("timestep")}
     if command == "drive":
         from sim.studies.ride.run_metrics import driven_roughness, measure_run, record, roughness
@@ -242,19 +249,19 @@ def _check_result(log: Log, recorded: RecordedRun, run: Run) -> Iterator[Finding
         }  # others are newer
         now |= {"iri": roughness(driven_roughness(run.vehicle, run.road, run.prediction.time))}
         said |= {"iri": result.get("iri")}
-    if MEASURED in recorded.responses:
+    if MEASURED_TOPIC in recorded.responses:
         from sim.studies.validity.measured_log import fits, until_end
 
-        logged = recorded.responses[MEASURED]
+        logged = recorded.responses[MEASURED_TOPIC]
         signals = tuple(one for name in logged.names for one in run.physics.signals if one.name == name)
         measured = fits(Response(1e-9 * logged.times, signals, logged.values), until_end(run))
         now |= {"beside": {name: one.record for name, one in measured.items()}}
     now = json.loads(json.dumps(now))
     holds = f"result.json: {sum(is_number(value) for _, value in leaves(now))} numbers equal those of the repeated run"
-    yield from _compared("result", "result.json", said, now, "numbers of the result", [holds])
+    yield from _compare_lines("result", "result.json", said, now, "numbers of the result", [holds])
 
 
-def _compared(part: str, source: str, said: Any, now: Any, what: str, holds: Sequence[str]) -> Iterator[Finding]:
+def _compare_lines(part: str, source: str, said: Any, now: Any, what: str, holds: Sequence[str]) -> Iterator[Finding]:
     """Compares what a log says with what is computed again: the first difference and how many more, or the lines that hold."""
     wrong = list(different(said, now))
     if wrong:

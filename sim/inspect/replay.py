@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.kinds.signals import Signal, kept_signals
 from models.laws.design_request import DesignRequest
 from models.laws.linear import MATRICES, law_of, static_law
 from models.laws.preview import preview_of
 from models.roads.description import described_road
-from models.vehicle.controllers import RESERVED, ControllerEntry
+from models.vehicle.controllers import RESERVED_NAMES, ControllerEntry
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.names import logged_part
 from models.vehicle.vehicle import Vehicle, parse_vehicle
@@ -29,7 +29,7 @@ from sim.linear.dampers import command_names
 from sim.observers.recorder import record
 from sim.recording.run_log import MUJOCO
 from sim.runs.forces import read_forces
-from sim.runs.prediction import predicted
+from sim.runs.prediction import predict_run
 from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem
@@ -54,13 +54,13 @@ def recorded_vehicle(log: Log, kinds: Path | None) -> Vehicle:
     return parse_vehicle(text, source="vehicle.toml in the log", folder=kinds)
 
 
-def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
+def with_implementation_of(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """Returns the vehicle with the implementation of a run, which may have a delay that the vehicle file lacks."""
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
         vehicle = vehicle.without(part)
     # The passive vehicle and state feedback, beside controllers that push
-    pushed = vehicle.dampers and name in RESERVED and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
+    pushed = vehicle.dampers and name in RESERVED_NAMES and run.claim("limits") != json.loads(json.dumps(vehicle.limits.record))
     vehicle = vehicle.with_force_actuators if pushed else vehicle.with_actuators_of(name)
     start = run.claim("start") if "start" in run.claims else {}
     return replace(vehicle.starting(**start), implementation=Implementation(**run.claim("implementation")))
@@ -85,7 +85,7 @@ def recorded_controller(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyCont
 def _recorded_law(log: Log, vehicle: Vehicle, run: RecordedRun) -> AnyController:
     name = run.claims.get("name", "")
     if name not in vehicle.controller_names:
-        raise InputError(f"vehicle.toml has no controller {name!r}; it has {listing(vehicle.controller_names)}")
+        raise InputError(f"vehicle.toml has no controller {name!r}; it has {list_names(vehicle.controller_names)}")
     entry = vehicle.controllers.get(name)
 
     def linear(name: str) -> Controller:
@@ -111,7 +111,7 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
     """Makes a run again: predicts it by linear analysis, and runs MuJoCo. A law in Python applies the forces in the log.
 
     Args:
-        vehicle: vehicle of the run, see `implemented`.
+        vehicle: vehicle of the run, see `with_implementation_of`.
         controller: controller of the run, see `recorded_controller`.
 
     Returns:
@@ -131,11 +131,11 @@ def replay(log: Log, run: RecordedRun, vehicle: Vehicle, controller: AnyControll
         forces = read_forces(log.attachments[run.claims["forces_file"]], command_names(vehicle), len(time))
         driver = RecordedForces(controller.measured, forces)
     (made,) = record([Case(vehicle, driver, road, earlier="signals" not in log.metadata)], time)
-    prediction = replace(predicted(controller, made.input, made.commands, MOST_STATES), replayed=driver is not controller)
+    prediction = replace(predict_run(controller, made.input, made.commands, MOST_STATES), replayed=driver is not controller)
     return with_energy_balance(compare_runs([prediction], [made]), [made])[0], made.response
 
 
-def kept(controller: AnyController) -> tuple[Signal, ...]:
+def controller_states(controller: AnyController) -> tuple[Signal, ...]:
     """Returns the signals of a controller's states."""
     return kept_signals(range(1, controller.states + 1))
 
@@ -150,6 +150,8 @@ def as_response(vehicle: Vehicle, run: RecordedRun, name: str, timestep: float, 
     if len(logged.names) != len(signals):
         signals = (*signals, *states)
     if {*logged.names} != {signal.name for signal in signals}:
-        raise InputError(f"the {name} response has other signals than a {vehicle.kind.name}: {listing(s.name for s in signals)}")
+        raise InputError(
+            f"the {name} response has other signals than a {vehicle.kind.name}: {list_names(s.name for s in signals)}"
+        )
     columns = [logged.names.index(signal.name) for signal in signals]
     return Response(np.arange(len(logged.times)) * timestep, signals, logged.values[:, columns])

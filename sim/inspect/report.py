@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import Whole, wrapped
+from models.common.printed import Whole, wrap_text
 from models.document.document import Document, Statement, notes
 from models.document.field import Record
 from sim.inspect.findings import HOLDS, Finding
-from sim.inspect.proof import Inspected, Proof
-from sim.inspect.replay import as_response, kept
+from sim.inspect.proof import InspectedRun, Proof
+from sim.inspect.replay import as_response, controller_states
 from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.runs.report import RUN, controller_record, verdict
 from sim.runs.signal_table import run_columns, write_columns
 
-INSPECTED = Record[Inspected](
+INSPECTED = Record[InspectedRun](
     name="recorded.name",
     samples=lambda one: max((len(response.times) for response in one.recorded.responses.values()), default=0),
     findings="findings",
@@ -52,7 +52,7 @@ def describe(proof: Proof) -> Document:
     return Document(Whole(log.path), (*first, *map(_describe_run, proof.runs), last))
 
 
-def _describe_run(one: Inspected) -> Document:
+def _describe_run(one: InspectedRun) -> Document:
     """Returns a run of a log: its verdict, its samples, road and law, and the findings on it."""
     run, title, about = one.again, f"run {one.recorded.name}", []
     if run is not None:
@@ -80,7 +80,7 @@ def short_line(proof: Proof) -> list[str]:
     """Returns a line on a log among several, and what of it is not proved."""
     if proof.holds:
         return [Whole(f"still proves    {proof.log.path}")]
-    return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrapped(", ".join(proof.broken), "  ", 4)]
+    return [Whole(f"DOES NOT PROVE  {proof.log.path}"), *wrap_text(", ".join(proof.broken), "  ", 4)]
 
 
 def write_signals(path: Path, proof: Proof) -> None:
@@ -93,7 +93,7 @@ def write_signals(path: Path, proof: Proof) -> None:
         raise InputError("--csv: the log contains no signals of a known vehicle type; omit --csv")
     columns, longest, timestep = [], 0, proof.log.timestep
     for one in proof.runs:
-        states = kept(one.again.controller) if one.again else ()
+        states = controller_states(one.again.controller) if one.again else ()
         sources = {"mujoco": MUJOCO, "sampled": SAMPLED}.items()
         responses = {source: as_response(proof.vehicle, one.recorded, name, timestep, states) for source, name in sources}
         responses |= {"recomputed": one.again.prediction.sampled} if one.again else {}

@@ -12,7 +12,7 @@ from sim.drive.response import Response
 MOST_SQUARED = 1e150  # N
 
 
-def stretching(vehicle: Vehicle) -> Array:
+def stretching_rates(vehicle: Vehicle) -> Array:
     """Returns V from the state to the stretching rate of each adjustable damper, shape (m, n); zero rows for force actuators.
 
     Raises:
@@ -22,7 +22,7 @@ def stretching(vehicle: Vehicle) -> Array:
     for force in model.inputs:
         row = np.zeros(len(model.states))
         if force in vehicle.dampers:
-            at = model.states.index(vehicle.kind.pushed(force))
+            at = model.states.index(vehicle.kind.deflection_of(force))
             if np.any(model.B[at]) or np.any(model.jump[at]) or np.any(model.Br[at]):
                 raise ValueError(f"the rate of {model.states[at]} has a force or the road in it")
             row = vehicle.motion_ratios[force] * model.A[at]
@@ -39,7 +39,7 @@ def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)
     travels = np.stack([physics[part.deflection] for part in vehicle.kind.suspensions], axis=-1)
     own = states[..., len(vehicle.linear_model.states) - len(vehicle.kind.of_parts) :]
-    return of.closing(states @ stretching(vehicle).T * MotionRatios([vehicle]).turns(travels), travels, own)
+    return of.closing(states @ stretching_rates(vehicle).T * MotionRatios([vehicle]).turns(travels), travels, own)
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:
@@ -67,7 +67,7 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
     of = range_of([vehicle])
     model, own = vehicle.linear_model, len(vehicle.kind.of_parts)
     travels = states @ np.array([np.isin(model.states, one.deflection) for one in vehicle.kind.suspensions], dtype=float).T
-    closing = of.closing(states @ stretching(vehicle).T, travels, states[:, len(model.states) - own :])
+    closing = of.closing(states @ stretching_rates(vehicle).T, travels, states[:, len(model.states) - own :])
     commands = of.commands(np.concatenate([inputs, closing], axis=-1)[:, None])[:, 0]
     return damper_signals(vehicle, *np.split(commands, 2, axis=-1))
 

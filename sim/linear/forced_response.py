@@ -30,9 +30,9 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
     """
     vehicle, h, model = road.vehicle, road.timestep, road.vehicle.linear_model
     if vehicle.parts.nonlinear:
-        from sim.linear.stepped import forced
+        from sim.linear.stepped import forced_run
 
-        return forced(forces, road).single
+        return forced_run(forces, road).single
     known = {name: values[0] for name, values in disturbances([road]).items()} | dict(zip(model.inputs, forces.T, strict=True))
     loop = Loop(
         plant_of(vehicle, sampled=True),
@@ -51,7 +51,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     """Returns the response to held forces, and to the continuous road, from rest. Arguments as for `forced_response`."""
     plant, model = plant_of(road.vehicle), road.vehicle.linear_model
-    Phi, Gamma = plant.part((), model.inputs).held(road.timestep)
+    Phi, Gamma = plant.part((), model.inputs).hold_matrices(road.timestep)
     start = None if (moved := road.vehicle.start_state) is None else np.pad(moved, (0, len(Phi) - len(moved)))
     outputs = recursion(Phi, road_forcing(plant, road) + forces @ Gamma.T, start) @ plant.C.T + acting_on(plant, road, forces)
     response = response_by_name(road, plant.outputs, outputs)

@@ -26,7 +26,7 @@ from models.common.arrays import Array
 from models.roads.spectrum import as_met
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, driven, loop_of, named
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, road_inputs, with_ending
 from synth.plant.loop import Loop, frequency_response, stepwise_response
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
@@ -42,7 +42,7 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
     loop, model, omega = loop_of(vehicle, controller), vehicle.linear_model, np.asarray(omega, dtype=float)
-    return frequency_response(loop, model.outputs, driven(model, controller, omega), omega)
+    return frequency_response(loop, model.outputs, road_inputs(model, controller, omega), omega)
 
 
 def sampled_frequency_response(
@@ -104,7 +104,7 @@ def driven_loop(
         push, shown = np.zeros((len(plant.A), count)), np.zeros((len(plant.outputs), count))
         rows = [model.outputs.index(name) for name in controller.measured]
         push[:n], shown[: len(model.outputs)], shown[plant.rows(loop.measured)] = of_rates, of_outputs, of_outputs[rows]
-        plant = plant.with_inputs(named(forces, MIDWAY), push, np.zeros_like(shown))
+        plant = plant.with_inputs(with_ending(forces, MIDWAY), push, np.zeros_like(shown))
         loop = replace(loop, plant=plant.with_inputs(forces, np.zeros_like(push), shown))
     turn, each = np.exp(s * h), np.eye(len(roads) + count)
     amplitudes = {MIDWAY: np.exp(s * h / 2) / s, HEIGHT: 1 / s}

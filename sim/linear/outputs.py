@@ -10,7 +10,7 @@ from models.common.extensions import FEATURES
 from models.kinds.linear_model import LinearModel
 from models.roads.road import RoadInput
 from sim.drive.response import Response
-from synth.controller.loop_of import HELD, named
+from synth.controller.loop_of import HELD, with_ending
 
 if TYPE_CHECKING:
     from models.laws.preview import RoadPreview
@@ -33,7 +33,7 @@ def response_of(
         beside: additional signals, each of shape (T,), or None for the damper signals of these inputs.
     """
     outputs = states @ model.C.T + inputs @ model.D.T + road.heights @ model.Cr.T + beyond
-    return response_by_name(road, (*model.outputs, *named(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
+    return response_by_name(road, (*model.outputs, *with_ending(model.inputs, HELD)), np.hstack([outputs, inputs]), beside)
 
 
 def response_by_name(
@@ -47,7 +47,7 @@ def response_by_name(
     """
     vehicle, steady, place = road.vehicle, road.steady_signals(road.time), {name: i for i, name in enumerate(names)}
     if beside is None and vehicle.dampers:
-        states, forces = vehicle.linear_model.states, named(vehicle.linear_model.inputs, HELD)
+        states, forces = vehicle.linear_model.states, with_ending(vehicle.linear_model.inputs, HELD)
         beside = FEATURES.load("dampers in linear analysis").linear_signals(
             vehicle, *(outputs[:, [place[name] for name in some]] for some in (states, forces))
         )

@@ -28,7 +28,7 @@ def roundings(vehicle: Vehicle, controller: AnyController | None) -> dict[str, f
         pushed[[model.inputs.index(one.force) for one in vehicle.parts.adjustable]] = [
             one.steepest_slope for one in vehicle.parts.adjustable
         ]
-        pushed *= np.abs(FEATURES.load("dampers in linear analysis").stretching(vehicle)) @ moved_states
+        pushed *= np.abs(FEATURES.load("dampers in linear analysis").stretching_rates(vehicle)) @ moved_states
     if controller is None or controller.linear is False:
         return dict(zip(model.outputs, (np.abs(model.C) @ moved_states + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _largest_gain(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])

@@ -44,7 +44,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 from sim.linear.outputs import forces_ahead, response_by_name, with_linear_sides
 from synth.controller.controller import Controller
-from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, pushes, with_ending
 from synth.plant.loop import Loop, respond
 from synth.plant.state_space import StateSpace
 
@@ -86,20 +86,20 @@ def sampled_responses(
     """
     vehicle, h = roads[0].vehicle, roads[0].timestep
     if vehicle.parts.nonlinear:
-        return FEATURES.load("stepped response").stepped([controller] * len(roads), roads).response
+        return FEATURES.load("stepped response").stepped_runs([controller] * len(roads), roads).response
     loop = loop_of(vehicle, controller, h, exponential)
     inputs = disturbances(roads)
     if controller.preview is not None:
         ahead = np.stack([forces_ahead(controller.preview, road, len(loop.by_step)) for road in roads])
         inputs |= dict(zip(loop.forces, np.moveaxis(ahead, -1, 0), strict=True))
-    return shown(loop, roads, respond(loop, shown_outputs(loop), inputs, vehicle.start_state), controller)
+    return shown_signals(loop, roads, respond(loop, shown_outputs(loop), inputs, vehicle.start_state), controller)
 
 
 def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
     """Returns what acts on a vehicle over the steps of N roads, by the names of a sampled `loop_of`, shape (N, T) each."""
     model = roads[0].vehicle.linear_model
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
-    if any(road.pushed for road in roads):
+    if any(road.has_held_inputs for road in roads):
         held = pushes(model)
         groups += [("held", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
     return {
@@ -123,48 +123,48 @@ def continuous_response(controller: Controller, road: RoadInput) -> Response:
         moved = -P @ ahead[0] + (0.0 if start is None else start)
         states, forces = _recursion_from(moved, Phi, (forcing + drive)[:-1]) + ahead @ P.T, ahead @ preview.C.T
     outputs = states @ system.C.T + acting_on(system, road, forces)
-    response = shown(loop, [road], outputs[None], controller).run(0)
-    jump = system.part(model.outputs, named(model.disturbances, HEIGHT)).D
+    response = shown_signals(loop, [road], outputs[None], controller).run(0)
+    jump = system.part(model.outputs, with_ending(model.disturbances, HEIGHT)).D
     return with_linear_sides(
         response, road, system.part(model.outputs, ()).C @ system.part((), model.disturbances).B + jump, False
     )
 
 
 def shown_outputs(loop: Loop) -> tuple[str, ...]:
-    """Returns the names of the outputs that `shown` takes: those of the plant, and the states of the law."""
+    """Returns the names of the outputs that `shown_signals` takes: those of the plant, and the states of the law."""
     return (*loop.plant.outputs, *loop.law_states)
 
 
-def shown(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
+def shown_signals(loop: Loop, roads: Sequence[RoadInput], outputs: Array, controller: Controller) -> Response:
     """Returns all signals of the vehicle and of the law, from `shown_outputs` over N roads, shape (N, T, p)."""
     runs = [response_by_name(road, loop.plant.outputs, values) for road, values in zip(roads, outputs, strict=True)]
     kept = controller.law.of_state(loop.period or None) * outputs[..., len(loop.plant.outputs) :]
     vehicle = Response(roads[0].time, roads[0].vehicle.kind.signals, np.stack([run.values for run in runs]))
-    return vehicle.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
+    return vehicle.with_signals(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
 def acting_on(system: StateSpace, road: RoadInput, forces: Array) -> Array:
     """Returns what forces, a road and its loads add to the outputs of a continuous system at the samples, shape (T, p)."""
     model = road.vehicle.linear_model
-    names = (*model.inputs, *model.disturbances, *named(model.disturbances, HEIGHT), *model.loads)
+    names = (*model.inputs, *model.disturbances, *with_ending(model.disturbances, HEIGHT), *model.loads)
     return np.hstack([forces, road.velocities, road.heights, road.loads]) @ system.D[:, system.columns(names)].T
 
 
 def road_forcing(system: StateSpace, road_input: RoadInput) -> Array:
     """Returns what a road and its loads add to the states of a continuous system over the step from each sample, (T, n)."""
-    road, vehicle, model, A = road_input.felt, road_input.vehicle, road_input.vehicle.linear_model, system.A
-    Bw, Br, Bl = (system.part((), some).B for some in (model.disturbances, named(model.disturbances, HEIGHT), model.loads))
+    road, vehicle, model, A = road_input.relative_road, road_input.vehicle, road_input.vehicle.linear_model, system.A
+    Bw, Br, Bl = (system.part((), some).B for some in (model.disturbances, with_ending(model.disturbances, HEIGHT), model.loads))
 
     def push(t: Array) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ Bw.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ Br.T if Br.any() else pushed
 
-    forcing = _forcing(
+    forcing = _forcing_integral(
         A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
     )
     if road_input.loaded:
         loads, kinks = road_input.road.loads, np.array(road_input.road.load_kinks)
-        forcing += _forcing(A, lambda t: loads(vehicle, t) @ Bl.T, kinks, road_input.time)
+        forcing += _forcing_integral(A, lambda t: loads(vehicle, t) @ Bl.T, kinks, road_input.time)
     return forcing + _leaps(A, Bw, road_input) if road.jumps else forcing
 
 
@@ -177,7 +177,13 @@ def _continuous_ahead(preview: "RoadPreview", system: StateSpace, road_input: Ro
         system: the closed loop from the forces.
     """
     A, B = system.A, system.B
-    road, vehicle, time, h, T = road_input.felt, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
+    road, vehicle, time, h, T = (
+        road_input.relative_road,
+        road_input.vehicle,
+        road_input.time,
+        road_input.timestep,
+        preview.seconds,
+    )
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     whole, later, count = int(T / h * (1 + WHOLE)), linalg.expm(preview.A * T), len(time)
     in_steps = abs(whole * h / T - 1) <= WHOLE
@@ -262,7 +268,7 @@ def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Ar
     return leaps
 
 
-def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
+def _forcing_integral(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:
     """Returns the integral of push(t) in x' = A x + push(t) over the step from each of these times [s], shape (T, n); cut at
     kinks [s].
     """
@@ -347,7 +353,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
     A, forces = vehicle.linear_model.A, vehicle.linear_model.inputs
     systems = [A, *(np.array([[-one.part.fastest]]) for one in vehicle.parts if one.part.fastest)]
     if vehicle.dampers:
-        V = FEATURES.load("dampers in linear analysis").stretching(vehicle)
+        V = FEATURES.load("dampers in linear analysis").stretching_rates(vehicle)
         slopes = {one.force: one.slopes for one in vehicle.parts.adjustable}
         ends = np.array([slopes.get(force, (0.0, 0.0)) for force in forces]).T
         systems += [A - (vehicle.linear_model.B * d) @ V for d in ends]

@@ -34,7 +34,7 @@ from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
 from sim.drive.recursion import SHARES, WEIGHTS, recursion
 from sim.drive.response import Response
-from sim.linear.dampers import damper_signals, stretching
+from sim.linear.dampers import damper_signals, stretching_rates
 from sim.linear.linear_motion import lag_rates, suspensions_of
 from sim.linear.outputs import forces_ahead, response_of, with_linear_sides
 from synth.controller.controller import Controller
@@ -61,7 +61,7 @@ class Stepper:
         push = np.hstack([push, np.eye(len(push), own, own - len(push))])  # own states are the last ones of the linear model
         w = s + own
         felt = bool(vehicle.dampers or self.ratios.over_travel)
-        self._stretching = stretching(vehicle) if vehicle.dampers else np.zeros((m, n))
+        self._stretching = stretching_rates(vehicle) if vehicle.dampers else np.zeros((m, n))
         self._still = None if felt else np.zeros((1, m))  # no force depends on the inputs
         rows, of_inputs = np.pad(rows, ((0, 0), (0, n - rows.shape[1]))), np.zeros((2 * s, m))
         of_road = of_road + rows @ model.jump
@@ -100,7 +100,7 @@ class Stepper:
 
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
         """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
-        wheels, pushed = inputs[0].midway.shape[1], any(road.pushed for road in inputs)
+        wheels, pushed = inputs[0].midway.shape[1], any(road.has_held_inputs for road in inputs)
         parts = ("midway", "held") if pushed else ("midway",)
         held = np.stack([np.hstack([getattr(road, name) for name in parts]) for road in inputs], axis=1)
         return held @ (self._outside if pushed else self._outside[:wheels])
@@ -175,9 +175,9 @@ class Stepper:
             missing: forces that adjustable dampers omit [N], shape (T, m) or, without such dampers, (T, 0).
         """
         vehicle, model, beside, x = self._vehicle, self.model, None, xi + road.heights @ self.model.jump.T
-        held = road.in_signals[:, None] if road.pushed else None
+        held = road.in_signals[:, None] if road.has_held_inputs else None
         beyond = self.pulls(xi[:, None], road.heights[:, None], inputs[:, None], held)[:, 0] @ self.shown.T
-        if road.pushed:
+        if road.has_held_inputs:
             beyond = beyond + road.in_signals @ model.Dh.T
         if vehicle.dampers:
             coefficients = xi @ self._acting + inputs @ self._at_once
@@ -248,16 +248,18 @@ class _Laws:
             if one.preview is not None:
                 self._ahead[:, i, : self._forces] = forces_ahead(one.preview, road, period)[::period]
 
-    def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, kept: Array) -> list[Array]:
+    def __call__(self, sample: int, xi: Array, inputs: Array, pulls: Array, law_states: Array) -> list[Array]:
         """Returns requested forces, and states after the sample, shapes (N, m) and (N, k).
 
         Args:
             sample: number of the sample.
             xi, inputs, pulls: as of the vehicle, while the inputs act that acted before.
-            kept: states of the laws, shape (N, k).
+            law_states: states of the laws, shape (N, k).
         """
         y = np.concatenate([xi, inputs, pulls], axis=1) @ self._readings + self._outside[sample]
-        return np.split(np.vecmat(np.concatenate([y, kept], axis=1), self._gains) + self._ahead[sample], [self._forces], axis=1)
+        return np.split(
+            np.vecmat(np.concatenate([y, law_states], axis=1), self._gains) + self._ahead[sample], [self._forces], axis=1
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +272,7 @@ class SteppedRuns:
         states: xi, shape (T, N, n).
         given: inputs that are held from each sample on, shape (T, N, m).
         missing: forces that adjustable dampers omit [N], shape (T, N, m), or (T, N, 0) without such dampers.
-        kept: states of the laws, each as it was at the law's last sample, shape (N, T, k).
+        law_states: states of the laws, each as it was at the law's last sample, shape (N, T, k).
     """
 
     steps: Stepper
@@ -278,7 +280,7 @@ class SteppedRuns:
     states: Array
     given: Array
     missing: Array
-    kept: Array
+    law_states: Array
 
     @property
     def response(self) -> Response:
@@ -286,8 +288,8 @@ class SteppedRuns:
         each = (self.states, self.given, self.missing)
         runs = [self.steps.response(road, *(one[:, i] for one in each)) for i, road in enumerate(self.inputs)]
         response = Response(self.inputs[0].time, self.inputs[0].vehicle.kind.signals, np.stack(runs))
-        kept = self.kept.shape[-1]
-        return response.beside(kept_signals(range(1, kept + 1)), self.kept) if kept else response
+        law_states = self.law_states.shape[-1]
+        return response.with_signals(kept_signals(range(1, law_states + 1)), self.law_states) if law_states else response
 
     @property
     def single(self) -> Response:
@@ -315,7 +317,7 @@ class SteppedRuns:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; the run says so
-def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
+def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> SteppedRuns:
     """Returns the runs of sampled loops from rest. Of laws with fewer states than others the last states are 0.
 
     Args:
@@ -329,10 +331,10 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
     laws = _Laws(controllers, inputs, steps, period)
     (n, m), count, samples = steps.model.B.shape, len(inputs), len(time)
     heights, added = np.stack([road.heights for road in inputs], axis=1), steps.outside(inputs)
-    readings = np.stack([one.in_readings for one in inputs], axis=1) if any(one.pushed for one in inputs) else None
+    readings = np.stack([one.in_readings for one in inputs], axis=1) if any(one.has_held_inputs for one in inputs) else None
     states, given, missing = (np.zeros((samples, count, width)) for width in (n, m, m if of else 0))
     kept_along = np.zeros((len(range(0, samples, period)), count, laws.states))
-    xi, kept, now = (np.zeros((count, width)) for width in (n, laws.states, m))
+    xi, law_states, now = (np.zeros((count, width)) for width in (n, laws.states, m))
     if (start := vehicle.start_state) is not None:
         xi[:, : len(start)] = start
     waiting = dict[int, Sequence[Array]]()
@@ -341,14 +343,14 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
         states[k] = xi
         if not laws.idle:
             if k % period == 0:  # a reading contains the forces that acted until then
-                kept_along[k // period] = kept
+                kept_along[k // period] = law_states
                 pulls = steps.pulls(xi, heights[k], now, None if readings is None else readings[k]) if laws.feels else unfelt
-                requested, kept = laws(k // period, xi, now, pulls, kept)
+                requested, law_states = laws(k // period, xi, now, pulls, law_states)
                 waiting[k + late] = (requested, lost)
                 if of is not None:
                     closing = steps.closing(of, xi, heights[k])
                     if laws.states:
-                        kept = kept + np.vecmat(of.clipped_off(requested, closing), laws.windup)
+                        law_states = law_states + np.vecmat(of.clipped_off(requested, closing), laws.windup)
                     waiting[k + late] = np.split(of.commands(np.concatenate([requested, closing], axis=1)), 2, axis=1)
             if k in waiting:
                 now, lost = waiting.pop(k)
@@ -361,7 +363,7 @@ def stepped(controllers: Sequence[Controller], inputs: Sequence[RoadInput]) -> S
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def forced(forces: Array, road: RoadInput) -> SteppedRuns:
+def forced_run(forces: Array, road: RoadInput) -> SteppedRuns:
     """Returns the run from rest under forces that are requested at every sample [N], shape (T, m)."""
     steps = Stepper(road.vehicle, road.timestep)
     added, states = steps.outside([road]) + (forces @ steps.by_inputs)[:, None], np.zeros((len(road.time), 1, len(steps.model.A)))

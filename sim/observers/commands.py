@@ -149,7 +149,7 @@ def _commands(
     if controller.user_code is True or controller.driver_key[0] not in ("linear", "semi_active"):
         computed = _again(controller, road, samples)
         if limiter is not None and driver_of([controller]).requests != "commands":
-            computed = _limited(limiter, computed, logged)
+            computed = _limit_commands(limiter, computed, logged)
         allowed = np.full_like(computed, EXACT) * np.abs(computed).max(axis=0, initial=0.0)
     elif controller.linear is True:
         computed, allowed, after = _linear(controller, road, samples, limiter, logged)
@@ -166,7 +166,7 @@ def _commands(
             yield f"state {i + 1} of the law", times[samples.due[1:]], far, np.maximum(slack[:-1] / scale, EXACT)
 
 
-def _limited(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
+def _limit_commands(limiter: CommandLimiter, requested: Array, logged: Array) -> Array:
     """Returns the commands of samples under a rate limit, shape (K, m), each from the logged command of the sample before.
 
     Args:
@@ -186,7 +186,7 @@ def _linear(
 
     Args:
         limiter: limiter of a rate limit, or None.
-        logged: see `_limited`.
+        logged: see `_limit_commands`.
     """
     vehicle, h, y, x = road.vehicle, road.timestep, samples.y, samples.states
     law = controller.law.sampled(samples.period * h)
@@ -197,7 +197,7 @@ def _linear(
     after, of_after = y @ law.B.T + x @ law.A.T, np.abs(y) @ np.abs(law.B).T + np.abs(x) @ np.abs(law.A).T
     slack = EXACT * np.broadcast_to(of_forces.max(axis=0, initial=0.0), forces.shape)
     closing = samples.closing if vehicle.dampers else None
-    given = forces if limiter is None else _limited(limiter, forces, logged)
+    given = forces if limiter is None else _limit_commands(limiter, forces, logged)
     if law.anti_windup is not None:
         range_of = FEATURES.load("damper ranges").range_of
         of, gain = range_of([vehicle], [vehicle.limits.actuator_force]), FEATURES.load("anti-windup").anti_windup_gain(law)

@@ -50,11 +50,11 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
-from sim.drive.recursion import lag_stages, lagging
+from sim.drive.recursion import lag_commands, lag_stages
 from sim.drive.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
 from sim.drive.response import Response
 from sim.observers.recorder import Recording
-from sim.observers.results import BALANCED, ROUNDING, Energy
+from sim.observers.results import BALANCE_TOLERANCE, ROUNDING, Energy
 
 if TYPE_CHECKING:
     from models.parts.damper_range import SetColumn
@@ -96,18 +96,18 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     for one in vehicle.parts:
         length = path.length(path.model.tendon(one.tendon).id)
         z = np.stack([response[signal.name] for signal in one.states], axis=-1) if one.states else None
-        start += _stored(one, length.d, z) + _kinetic(one, length.d, length.v)
+        start += _stored_energy(one, length.d, z) + _kinetic(one, length.d, length.v)
         # States do not jump with the road.
-        end += _stored(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
+        end += _stored_energy(one, length.after, None if z is None else z[1:]) + _kinetic(one, length.after, length.v[1:])
         if z is None or (column := elements.get(names_of(one.states))) is None:
-            lost += _lost(one, length, z)
+            lost += _lost_energy(one, length, z)
             continue
         by_coil, jumps, beyond = _by_coil(column.element, response, z)
         work[:, column.column] = by_coil + jumps
         start += beyond
         end += beyond[1:] - jumps
         by_road -= jumps
-        lost += _lost(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
+        lost += _lost_energy(one, length, z, _settings(column.element, response, length.h)) + by_coil + jumps - np.diff(beyond)
 
     steps, stored = np.stack([start[1:] - end + by_road, work.sum(axis=1), by_loads.sum(axis=1), lost]), start - rest
     if vehicle.start:  # its energy there is nobody's work
@@ -115,10 +115,10 @@ def energy(run: Recording, until: float = np.inf) -> Energy:
     sums = np.cumsum(np.insert(steps, 0, [stored[0], 0.0, 0.0, 0.0], axis=1), axis=1)
     turnover = float(sums[3, -1] + np.abs(work).sum() + path.starts[:, 1].max() + np.abs(by_loads).sum())
     scale = max(turnover, ROUNDING * abs(float(rest))) or 1.0
-    residual, allowed = float(np.max(np.abs(sums[:3].sum(axis=0) - sums[3] - stored))) / scale, BALANCED
+    residual, allowed = float(np.max(np.abs(sums[:3].sum(axis=0) - sums[3] - stored))) / scale, BALANCE_TOLERANCE
     if not _has_kinks(vehicle, response):
         rounding = float(np.finfo(float).eps) * count * float(np.abs(path.starts[:, :2]).max())
-        allowed = min(BALANCED, max(SMALLEST, SMOOTH * (path.h * _fastest(vehicle)) ** 4) + rounding / scale)
+        allowed = min(BALANCE_TOLERANCE, max(SMALLEST, SMOOTH * (path.h * _fastest(vehicle)) ** 4) + rounding / scale)
     of_road, of_inputs, of_loads, taken = sums[:, -1].tolist()
     loads = of_loads if road.loaded else None
     return Energy(of_road, of_inputs, float(stored[-1]), taken, turnover, residual, least, loads, allowed)
@@ -132,7 +132,7 @@ def _elements(vehicle: Vehicle) -> "Sequence[SetColumn]":
     return FEATURES.load("damper ranges").range_of([vehicle]).elements
 
 
-def _stored(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
+def _stored_energy(one: "SuspensionPart", deflection: Array, z: Array | None) -> Array:
     """Returns the energy that a part stores at deflections and states [J], shape (...), without that of the vehicle's own
     spring.
     """
@@ -160,7 +160,7 @@ def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Ar
     return (changes[0] + changes[1]) / 2, stored(late, u[1:]) - stored(late, held), stored(slice(None), u)
 
 
-def _lost(
+def _lost_energy(
     one: "SuspensionPart", length: "_Length", z: Array | None, inputs: Sequence[Array | float] = (0.0,) * 3
 ) -> Array | float:
     """Returns what a part takes without storing it over every step [J], shape (T - 1,).
@@ -180,7 +180,7 @@ def _lost(
     stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
     pulls = [one.part.beyond(d, v, z, u) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
     taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
-    return taken - (_stored(one, length.after, own[2]) - _stored(one, length.d[:-1], own[0]))
+    return taken - (_stored_energy(one, length.after, own[2]) - _stored_energy(one, length.d[:-1], own[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
     inputs, dampers, least = vehicle.linear_model.inputs, {one.force: one for one in vehicle.parts.adjustable}, []
     forces = np.stack([response[name] for name in inputs], axis=-1)
     elements = {inputs[one.column]: one for one in _elements(vehicle)}
-    acting, work, ratios = _acting(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
+    acting, work, ratios = _acting_forces(vehicle, forces, requested, path.h), np.empty_like(forces[1:]), MotionRatios([vehicle])
     for j, name in enumerate(inputs):
         length, ratio = path.stroke(vehicle, name), partial(ratios.of, name)
         speeds, (first, *inner, last) = [ratio(d) * v for d, v in length.stages], acting[..., j]
@@ -235,7 +235,7 @@ def _by_inputs(vehicle: Vehicle, path: "_Path", response: Response, requested: A
         elif name in dampers:
             work[:, j] = length.integral(_powers(dampers[name], response, speeds, length.h))
             own = ratio(length.d) * length.v
-            power = (dampers[name].ramp(own, 0.0) - response[name]) * own
+            power = (dampers[name].force_at(own, 0.0) - response[name]) * own
             least.append(float(power.min()) / (float(np.abs(power).max()) or 1.0))
         elif vehicle.limits.actuator_bandwidth is None:  # the work of a held force is exact
             travel = partial(ratios.travel, name)
@@ -310,7 +310,7 @@ class _Path:
     def __init__(self, qpos: Array, qvel: Array, road: RoadInput) -> None:
         """Evaluates T states, each over the road of the step that begins and, if the road moved, that of the step that ends."""
         midway, self.h = road.midway[: len(qpos)], road.timestep
-        self.model, moved = _observed(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
+        self.model, moved = _energy_model(road.vehicle, self.h), np.flatnonzero(np.any(midway[1:] != midway[:-1], axis=1))
         again = ((qpos, qpos[1 + moved]), (qvel, qvel[1 + moved]), (midway, midway[moved]))
         q, v, roads = (np.concatenate([one, other, np.zeros_like(one[:1])]) for one, other in again)
         seen = _evaluate_states(road.vehicle, self.model, q, v, roads)
@@ -324,7 +324,7 @@ class _Path:
 
     def stroke(self, vehicle: Vehicle, force: str) -> "_Length":
         """Returns the deflection along which an input acts: that of its suspension, else that of its actuator."""
-        model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.pushed(force))
+        model, i = self.model, mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, vehicle.kind.deflection_of(force))
         firsts = {int(mujoco.mjtSensor.mjSENS_TENDONPOS): 0, int(mujoco.mjtSensor.mjSENS_JOINTPOS): model.ntendon}
         first = firsts.get(int(model.sensor_type[i])) if i >= 0 else None
         if first is not None:
@@ -333,7 +333,7 @@ class _Path:
 
 
 @lru_cache(maxsize=16)
-def _observed(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
+def _energy_model(vehicle: Vehicle, timestep: float) -> mujoco.MjModel:
     """Returns the vehicle's model for its energy: without bump stops, and with the springs of damping tyres as springs."""
     spec = build_spec(replace(vehicle, limits=Limits()), timestep)
     for actuator in spec.actuators:
@@ -369,7 +369,7 @@ def _evaluate_states(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel:
     return values
 
 
-def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
+def _acting_forces(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
     """Returns the actuators' forces [N] in RK4's stages of every step, shape (4, T - 1, m).
 
     What lags behind a request beyond the largest force may change its sign within a step.
@@ -383,5 +383,5 @@ def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Arra
         return np.stack(lag_stages(forces, z))
     largest, most = limits.largest
     asked = np.clip(requested[:, : forces.shape[1]], -largest, largest)
-    stages = lag_stages(np.where(np.abs(forces) < AT * most, forces, lagging(asked, z)), z)
+    stages = lag_stages(np.where(np.abs(forces) < AT * most, forces, lag_commands(asked, z)), z)
     return np.clip(stages, -most, most)

@@ -77,9 +77,9 @@ class Recorder:
     def result(self) -> list[Recording]:
         """Returns the recording of every run."""
         batch, (first, *_), vehicle = self._batch, self._blocks, self._batch.vehicles[0]
-        names = ("values", "qpos", "qvel", "requested_force", "kept", "measured")
+        names = ("values", "qpos", "qvel", "requested_force", "law_states", "measured")
         parts = [[getattr(one, name) for one in self._blocks] for name in names]
-        values, qpos, qvel, commands, kept, measured = (np.concatenate(one) if len(one) > 1 else one[0] for one in parts)
+        values, qpos, qvel, commands, law_states, measured = (np.concatenate(one) if len(one) > 1 else one[0] for one in parts)
         time, gone = batch.time, batch.time[:, None] >= batch.diverged
         values[np.broadcast_to(gone[:, None], values.shape)] = np.nan
         response = Response(time, vehicle.kind.signals, np.moveaxis(values, 2, 0))
@@ -89,9 +89,9 @@ class Recorder:
         recordings = []
         for i, (case, on) in enumerate(zip(batch.cases, batch.inputs, strict=True)):
             period = steps_per_sample(case.vehicle.implementation, batch.timestep) * batch.timestep
-            states = kept[:, i, : case.driver.states] * case.driver.state_scale(period)
+            states = law_states[:, i, : case.driver.states] * case.driver.state_scale(period)
             states[gone[:, i]] = np.inf if batch.law_diverged[i] else np.nan
-            one = response.run(i).beside(kept_signals(range(1, case.driver.states + 1)), states)
+            one = response.run(i).with_signals(kept_signals(range(1, case.driver.states + 1)), states)
             seen = dict(zip(first.names, measured[:, i].T, strict=True))
             recordings.append(Recording(case, on, one, qpos[:, i], qvel[:, i], seen, commands[:, i]))
         return recordings

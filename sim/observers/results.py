@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 from models.common.printed import difference
 from models.document.document import Document
 from models.document.field import Field
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 
 WHEN = Field[float]("time", float, ".4g", unit="s")
 DIFFERENCE = Field[float]("difference", float, ".1e")  # of a signal, over its peak
-ALLOWED = Field[float]("allowed", float, ".0e")  # of a check
+ALLOWED_DIFFERENCE = Field[float]("allowed", float, ".0e")  # of a check
 JOULES = Field[float]("energy", float, ".5g", unit="J")
 # Largest residual if a force has a kink, relative to the turnover. There RK4 leaves 5e-5 at 1 ms and 6e-4 at 4 ms (every
 # vehicle and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
-BALANCED = 1e-3
+BALANCE_TOLERANCE = 1e-3
 # A fault leaves as much at any step, and what RK4 leaves falls with the second power of the step, or a higher one. So a run that
 # leaves more is driven at half the step, too, and this times the fall is allowed on top: 4 / 3 of it is the error of the second
 # power. A wheel of 7 kg on a tyre of 430 kN/m, often in the air, leaves 2.6e-3 at 1 ms and 5.7e-4 at half of it.
@@ -49,11 +49,11 @@ class StepAgreement(LocalAgreement):
 
     Attributes:
         until: steps that begin before this time are compared [s]; infinite for all.
-        lost: True if the equations do not take the state at that time.
+        equations_invalid: True if the equations do not take the state at that time.
     """
 
     until: float
-    lost: bool = False
+    equations_invalid: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class CommandAgreement(LocalAgreement):
 
 
 @dataclass(frozen=True, repr=False)
-class Energy(Shown):
+class Energy(ShownResult):
     """Energy balance of a run, from its start to its end or to the time at which it broke off.
 
     Attributes:
@@ -79,8 +79,8 @@ class Energy(Shown):
         dissipated: energy taken by the dampers [J].
         turnover: energy taken by the dampers, moved by the actuators either way, and the largest kinetic energy [J].
         loads: work of the loads on the body [J], or None if there are no loads.
-        allowed: largest residual that the integrator explains: RK4's own if no force has a kink, else `BALANCED`; more if half
-            the step leaves less.
+        allowed: largest residual that the integrator explains: RK4's own if no force has a kink, else `BALANCE_TOLERANCE`; more
+            if half the step leaves less.
         residual: largest magnitude at any time of works less stored and dissipated energy, over `turnover`.
         least: least power taken by an adjustable damper at any sample, over the largest; below 0 if it gave energy. None if the
             vehicle has no adjustable dampers.
@@ -94,10 +94,10 @@ class Energy(Shown):
     residual: float
     least: float | None = None
     loads: float | None = None
-    allowed: float = BALANCED
+    allowed: float = BALANCE_TOLERANCE
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns whether it balances, and the energies."""
         parts = {name: getattr(self, name) for name in ("road", "actuators", "loads", "stored", "dissipated")}
         title = (
@@ -130,7 +130,7 @@ class Energy(Shown):
         """Returns True if more is left over than is usual: half the step tells an error of RK4 from a fault."""
         return self.residual > self.allowed
 
-    def beside(self, finer: "Energy") -> "Energy":
+    def with_half_step(self, finer: "Energy") -> "Energy":
         """Returns the balance with its allowed residual, given the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
         return replace(self, allowed=min(self.allowed + FALLS * falls, max(self.allowed, self.residual, COARSEST)))

@@ -25,7 +25,7 @@ from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.suspension_forces import MotionRatios, SuspensionForces
 from models.vehicle.vehicle import Vehicle
-from sim.drive.recursion import SHARES, WEIGHTS, lag_stages, lagging
+from sim.drive.recursion import SHARES, WEIGHTS, lag_commands, lag_stages
 from sim.drive.response import Response
 from sim.linear.linear_motion import LinearMotion, lag_rates
 from sim.linear.rounding import roundings
@@ -63,8 +63,8 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
     starts = _starts(motion, road, physics, recording.commands)
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
-    ahead, there = _stepped(motion, starts)
-    shown = _shown(motion, starts, physics, starts.stages[0], road.in_signals[: len(starts.state)])
+    ahead, there = _step_signals(motion, starts)
+    shown = _other_signals(motion, starts, physics, starts.stages[0], road.in_signals[: len(starts.state)])
     readings = _readings(motion, starts, physics, measured, road.in_readings[: len(starts.state)])
     told = (*motion.names, *(one.name for one in road.vehicle.kind.of_parts))
     names = (*told, *shown, *readings)
@@ -96,7 +96,7 @@ def compare_steps(road: RoadInput, recording: Recording, until: float, rounding:
         signal=names[which],
         since=float(physics.time[beyond.argmax()]) if beyond.any() else np.inf,
         until=np.inf if usable else float(physics.time[len(ahead)]),
-        lost=len(ahead) < len(physics.time) - 1,
+        equations_invalid=len(ahead) < len(physics.time) - 1,
     )
 
 
@@ -138,13 +138,13 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Arra
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    stages = _given(vehicle, physics.samples(slice(end + 1)), commands, h)
+    stages = _stage_inputs(vehicle, physics.samples(slice(end + 1)), commands, h)
     there = np.stack([physics[name][1 : end + 1] for name in (*names, *of_parts)], axis=-1)
     own = np.stack([physics[name][:end] for name in of_parts], axis=-1) if of_parts else np.zeros((end, 0))
     return _Starts(vehicle, h, state[:end], own, heights[: end + 1], midway[:end], loads[:end], there, stages)
 
 
-def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
+def _step_signals(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
     """Returns signals after one step of RK4 from every start, and those of physics there, shapes (K, p + k)."""
     state, h, n = np.concatenate([starts.state, starts.own], axis=1), starts.timestep, starts.state.shape[1]
     if not len(state):
@@ -214,7 +214,7 @@ def _pulls(
     return lambda d, v: pulls(d, v) + inertial
 
 
-def _shown(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
+def _other_signals(motion: "Motion", starts: _Starts, physics: Response, given: Array, loads: Array) -> dict[str, Array]:
     """Returns the vehicle's other signals at the starts by the equations, under given commands and loads, each of shape (K,)."""
     vehicle, count, seen = starts.vehicle, len(starts.state), list[tuple[Array, Array]]()
     kind, names, forces, ratios = vehicle.kind, physics.names, SuspensionForces([vehicle]), MotionRatios([vehicle])
@@ -255,7 +255,7 @@ def _readings(
         return {}
     now, lags = starts.stages[0], lag_rates(starts.vehicle) > 0
     before = np.concatenate([np.zeros_like(now[:1]), now[:-1]])
-    shown = _shown(motion, starts, physics, np.where(lags, now, before), loads)
+    shown = _other_signals(motion, starts, physics, np.where(lags, now, before), loads)
     return {name: shown[name] for name in some if name in shown}
 
 
@@ -265,10 +265,10 @@ def _at_wheels(vehicle: Vehicle, given: Array) -> Array:
     return np.where(np.isin(forces, list(vehicle.dampers)), 0.0, given) * [vehicle.motion_ratios[name] for name in forces]
 
 
-def _given(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
+def _stage_inputs(vehicle: Vehicle, physics: Response, commands: Array, h: float) -> list[Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each."""
     inputs, (asked, most) = vehicle.linear_model.inputs, vehicle.limits.largest
     demand, z = commands[: len(physics.time), : len(inputs)], lag_rates(vehicle) * h
     pushing = ~np.isin(inputs, list(vehicle.dampers))
-    now = lagging(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
+    now = lag_commands(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
     return [np.where(pushing, np.clip(stage, -most, most), stage) for stage in lag_stages(now, z)]

@@ -10,11 +10,11 @@ from models.vehicle.limits_and_implementation import Implementation, steps_per_s
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Batch
 from sim.drive.driver import RunDriver
-from sim.drive.loop import DIVERGED, Block
+from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.drive.response import SILENT, loudest_alike
 from sim.linear.outputs import forces_ahead
 from sim.observers.ends import Ends
-from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, named, pushes
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, pushes, with_ending
 from synth.plant.state_space import StateSpace
 
 if TYPE_CHECKING:
@@ -43,11 +43,11 @@ class Twin:
         """Prepares the runs of a batch, which `ends` observes before."""
         vehicle, self._batch, self._ends, self.meter, timestep = batch.vehicles[0], batch, ends, meter, batch.timestep
         self.outputs, road, held = vehicle.linear_model.outputs, vehicle.linear_model.disturbances, pushes(vehicle.linear_model)
-        groups = [(batch.now, named(road, HEIGHT)), (batch.midway, named(road, MIDWAY))]
+        groups = [(batch.now, with_ending(road, HEIGHT)), (batch.midway, with_ending(road, MIDWAY))]
         if batch.held is not None:
             effects = {HELD: "held", SIGNAL: "in_signals", READ: "in_readings"}
             for ending, values in effects.items():
-                groups.append((np.stack([getattr(one, values) for one in batch.inputs], axis=1), named(held, ending)))
+                groups.append((np.stack([getattr(one, values) for one in batch.inputs], axis=1), with_ending(held, ending)))
         if any(one.preview is not None for one in batch.drivers):
             ahead = np.zeros((len(batch.now), len(batch.cases), len(vehicle.linear_model.inputs)))
             for i, (one, on) in enumerate(zip(batch.drivers, batch.inputs, strict=True)):
@@ -56,7 +56,7 @@ class Twin:
             groups.append((ahead, vehicle.linear_model.inputs))
         keys = [(id(one.vehicle), id(one.driver)) for one in batch.cases]
         distinct = dict(zip(keys, batch.cases, strict=True))
-        loops = {key: _closed(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
+        loops = {key: _closed_loop(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
         systems = [loops[key].part(self.outputs, loops[key].inputs) for key in keys]
         # By entry of the matrices, runs last: shapes (n, n, N) and (p, n, N); of each input (T, N, r), (n, r, N) and (p, r, N).
         self._A, self._C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
@@ -96,7 +96,7 @@ class Twin:
                 self._peak[i] = np.maximum(self._peak[i], size.max(axis=0))
                 values[:, self._index[i]] = output
             if self.meter is not None:
-                self.meter.update(np.clip(values, -DIVERGED, DIVERGED))
+                self.meter.update(np.clip(values, -DIVERGENCE_LIMIT, DIVERGENCE_LIMIT))
 
     def result(self) -> list[float]:
         """Returns the largest difference of any state from that of each run, over the peak of the linear response."""
@@ -108,7 +108,7 @@ class Twin:
         return worst.tolist()
 
 
-def _closed(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
+def _closed_loop(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
     """Returns the closed loop from step to step, of a law that acts at once or not at all."""
     law = cast("Controller", driver)  # it is linear
     return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop

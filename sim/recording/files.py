@@ -64,14 +64,14 @@ def record(
             from sim.recording.rerun_writer import write_rrd
 
             write_rrd(written["rerun"], runs, metadata)
-            return _published(written, folder, stem)
+            return _publish_files(written, folder, stem)
     except OSError as error:
         raise InputError(
             f"cannot write recordings in {folder} ({error.strerror or error}); give a writable folder with free space"
         ) from error
 
 
-def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
+def _publish_files(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
     """Renames complete files to the first name that is free for all of them; returns the final paths."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"

@@ -22,7 +22,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
     panels: dict[str, Any] = {}
     tabs = [("all", _seen(panels, runs, runs, "all"))] if len(runs) > 1 else []
     tabs += [(run.name, _seen(panels, runs, [run], run.name)) for run in runs]
-    root = _paged(panels, "runs", tabs)
+    root = _tab_panel(panels, "runs", tabs)
     layout = {"configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 0.2}, "layout": root}
     return json.dumps(layout, indent=1)
 
@@ -31,7 +31,7 @@ def _seen(panels: dict[str, Any], runs: Sequence[RunLog], seen: Sequence[RunLog]
     """Adds the panels of one run, its car and its events beside its plots, or of all runs, their cars above their plots."""
     car, log = f"3D!{_id(name)}", f"RosOut!{_id(name)}"
     panels[car] = _scene(runs, seen)
-    plots = _paged(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages(runs, seen)])
+    plots = _tab_panel(panels, name, [(page.title, _page(panels, runs, page, name)) for page in pages(runs, seen)])
     if len(seen) > 1:
         return _stack("column", [car, plots], [2.0, 3.0])
     panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, seen[0], "events")}
@@ -120,7 +120,7 @@ def _field(runs: Sequence[RunLog], curve: Curve, name: str) -> str:
     return f"{path if plain else json.dumps(path, ensure_ascii=False)}.{name}"
 
 
-def _paged(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
+def _tab_panel(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
     """Returns a single page, or adds a tab panel with several pages."""
     if len(pages) == 1:
         return pages[0][1]

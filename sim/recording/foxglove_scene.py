@@ -28,7 +28,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from models.common.arrays import Array
 from sim.recording.run_log import RunLog
-from sim.recording.scene import FORCE, LIFTED, LINES, Shape, arrows, strut_lines, tyre_surface
+from sim.recording.scene import FORCE, LIFTED_COLOUR, LINES, Shape, arrows, strut_lines, tyre_surface
 
 WORLD = "world"
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
@@ -61,7 +61,7 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
         parent_frame_id=WORLD,
         child_frame_id=frame(run),
         translation=_vector(stand),
-        rotation=_quaternion(UNTURNED),
+        rotation=_quaternion(IDENTITY_QUATERNION),
     )
     for index, time in enumerate(times):
         stamp = _stamp(time)
@@ -93,10 +93,12 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     yield update
 
 
-def moving(run: RunLog, times: list[int], largest: float) -> Messages:
+def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
     """Yields struts, tyres and arrows of control forces; a force of `largest` [N] has the longest arrow."""
     scene = run.scene
-    struts = [_packed(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)]
+    struts = [
+        _pack_points(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)
+    ]
     looks = [
         LinePrimitive(type=LinePrimitive.LINE_STRIP, pose=_pose(), thickness=2 * radius, color=_color(colour))
         for _ in scene.springs
@@ -105,9 +107,9 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
     tyres = []
     for tyre in scene.tyres:
         vertices, triangles = tyre_surface(tyre)
-        indices, colours = triangles.ravel().tolist(), (255 * tyre.rgba[:3], LIFTED)
+        indices, colours = triangles.ravel().tolist(), (255 * tyre.rgba[:3], LIFTED_COLOUR)
         surfaces = [TriangleListPrimitive(pose=_pose(), indices=indices, color=_color(colour)) for colour in colours]
-        tyres.append((tyre, surfaces, _packed(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
+        tyres.append((tyre, surfaces, _pack_points(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     pushed = arrows(scene, largest).values()
     for index, time in enumerate(times):
         update = SceneUpdate()  # every part is made in its place: the message that holds a part copies it, point by point
@@ -162,7 +164,7 @@ def _add_solid(entity: Any, shape: Shape) -> None:
             entity.spheres.append(SpherePrimitive(pose=_pose(tip), size=ball, color=color))
 
 
-def _packed(points: Array, field: int) -> Array:
+def _pack_points(points: Array, field: int) -> Array:
     """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles; (..., P, 3) to (..., P).
 
     Serialization of the message later leaves out zeros. The field's number must be below 16.
@@ -196,11 +198,11 @@ def _quaternion(quaternion: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
+IDENTITY_QUATERNION = np.array([1.0, 0.0, 0.0, 0.0])
 ORIGIN = np.zeros(3)
 
 
-def _pose(position: Array = ORIGIN, quaternion: Array = UNTURNED) -> Pose:
+def _pose(position: Array = ORIGIN, quaternion: Array = IDENTITY_QUATERNION) -> Pose:
     return Pose(position=_vector(position), orientation=_quaternion(quaternion))
 
 

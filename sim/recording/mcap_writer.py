@@ -83,11 +83,11 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
             yield (
                 topic(runs, run, name),
                 _signals_schema(response.signals, number, kind),
-                {signal.name: _described(signal) for signal in response.signals},
+                {signal.name: _describe_signal(signal) for signal in response.signals},
                 _nanoseconds(response.time),
-                _encoded(response, kind),
+                _encode_samples(response, kind),
             )
-    yield from _published(runs)
+    yield from _published_channels(runs)
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
@@ -100,7 +100,7 @@ def _nanoseconds(time: Array) -> list[int]:
     return np.round(time * 1e9).astype(np.int64).tolist()
 
 
-def _described(signal: Signal) -> str:
+def _describe_signal(signal: Signal) -> str:
     """Returns the description of a signal as JSON."""
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
@@ -127,7 +127,7 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Sche
 
 
 @np.errstate(over="ignore")  # a difference that single precision cannot hold is infinite
-def _encoded(response: Response, kind: str) -> Iterator[bytes]:
+def _encode_samples(response: Response, kind: str) -> Iterator[bytes]:
     """Yields every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
 
     A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. So a flat
@@ -151,7 +151,7 @@ def _varint(value: int) -> bytes:
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
 
-def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
+def _published_channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """Yields the channels with published schemas: events and the scene."""
     from sim.recording import foxglove_scene as scene
 
@@ -167,7 +167,7 @@ def _published(runs: Sequence[RunLog]) -> Iterator[Channel]:
             ("events", scene.Log, happened, scene.events(run, happened)),
             ("transforms", scene.FrameTransforms, times, scene.transforms(run, times, stand)),
             ("shapes", scene.SceneUpdate, first, scene.shapes(run, first[0], colour)),
-            ("scene", scene.SceneUpdate, times, scene.moving(run, times, largest)),
+            ("scene", scene.SceneUpdate, times, scene.moving_entities(run, times, largest)),
         ):
             contents = (message.SerializeToString() for message in messages)
             if when or name == "events":  # a panel of events has its topic even if nothing happened

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.document.figure import BLACK, OTHERS, STYLES, styles
 from models.kinds.signals import Signal, is_kept
 from sim.drive.response import Response
-from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED, MUJOCO, SAMPLED, RunLog
+from sim.recording.run_log import CONTINUOUS, DAMPERS, LOADS, MEASURED_TOPIC, MUJOCO, SAMPLED, RunLog
 
 if TYPE_CHECKING:
     from sim.runs.force_diagram import Diagram
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 # By response: (label, opacity, width). Rerun draws in the order of names, so MuJoCo's comes last: thin, within broad lines.
 RESPONSES = {CONTINUOUS: ("continuous", "80", 8.0), SAMPLED: ("sampled", "b8", 4.5), MUJOCO: ("MuJoCo", "ff", 1.5)}
 NEUTRAL = "#8c8c8c"  # for the report's black, as viewers are dark or light, which the user chooses
-LOGGED = "#ff9f1c"  # of a measured log
+LOG_COLOUR = "#ff9f1c"  # of a measured log
 PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))[1:]  # of curves that belong to no run
 
 TRAVEL = "suspension_deflection"
 OVERVIEW = ("sprung_acceleration", TRAVEL, "tyre_deflection", "control_force")  # on the first page, for one corner of a car
 ROADS = {"road_displacement": "m", "road_velocity": "m/s"}  # units of the quantities on the last page
-GROUPED = 8  # signals that need no groups
+UNGROUPED_SIGNALS = 8  # signals that need no groups
 MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log
 CONTROLLER = "controller"  # page of these states
 SEEN = 6  # plots on one page; more would be too flat to read
@@ -92,7 +92,7 @@ def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
     """
     run, color, alone, found = seen[0], colour_of(runs, seen[0]), len(seen) == 1, []
     for group, signals in groups(seen).items():
-        curves = [response_curves(run, signal, color) if alone else _compared(seen, signal) for signal in signals]
+        curves = [response_curves(run, signal, color) if alone else _compared_curves(seen, signal) for signal in signals]
         plots = [Plot(_heading(signal), tuple(some)) for signal, some in zip(signals, curves, strict=True)]
         gap = differences(run, signals) if alone else ()
         found += [Page(name, part, group, gap) for name, part in _parts(_title(run, group), plots)]
@@ -112,22 +112,22 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
         if signal.name in response.names:
             label, opacity, width = RESPONSES[topic]
             yield Curve(run, topic, signal.name, label, color + opacity, width)
-    yield from _measured(run, signal)
+    yield from _measured_curve(run, signal)
 
 
-def _measured(run: RunLog, signal: Signal) -> Iterator[Curve]:
+def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
     """Yields the curve of a signal in the measured log of a run, if any."""
-    if MEASURED in run.acting and signal.name in run.acting[MEASURED].names:
-        yield Curve(run, MEASURED, signal.name, "measured", LOGGED, 2.5)
+    if MEASURED_TOPIC in run.acting and signal.name in run.acting[MEASURED_TOPIC].names:
+        yield Curve(run, MEASURED_TOPIC, signal.name, "measured", LOG_COLOUR, 2.5)
 
 
-def _compared(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
+def _compared_curves(runs: Sequence[RunLog], signal: Signal) -> Iterator[Curve]:
     # Rerun draws in the order of names: thinner towards the last one, so that a curve behind another stays visible.
     names = sorted((run.name for run in runs), reverse=True)
     for run in runs:
         if signal.name in run.responses[MUJOCO].names:
             yield Curve(run, MUJOCO, signal.name, run.name, colour_of(runs, run), min(1.5 + names.index(run.name), 5.0))
-    yield from next(filter(None, ([*_measured(run, signal)] for run in runs)), ())
+    yield from next(filter(None, ([*_measured_curve(run, signal)] for run in runs)), ())
 
 
 def _road(runs: Sequence[RunLog], quantity: str) -> Plot:
@@ -173,7 +173,7 @@ def groups(runs: Sequence[RunLog]) -> dict[str, tuple[Signal, ...]]:
     others = [signal for signal in signals if len(corners) > 1 or signal not in overview]  # corners are compared there
     kinds: dict[str, list[Signal]] = {}
     for signal in others:
-        kinds.setdefault(signal.name.split("_")[0] if len(others) > GROUPED else "others", []).append(signal)
+        kinds.setdefault(signal.name.split("_")[0] if len(others) > UNGROUPED_SIGNALS else "others", []).append(signal)
     small = [signal for kind in kinds.values() if len(kind) <= 2 for signal in kind]
     large = {name: kind for name, kind in kinds.items() if len(kind) > 2}
     active = runs[0].active[:MOST_ACTIVE] if len(runs) == 1 else ()  # states of several controllers are different quantities

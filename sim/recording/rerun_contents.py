@@ -18,7 +18,7 @@ from sim.recording.pages import NEUTRAL, Curve, differences, groups, response_cu
 from sim.recording.run_log import DAMPERS, LOADS, MUJOCO, RunLog
 from sim.recording.scene import (
     FORCE,
-    LIFTED,
+    LIFTED_COLOUR,
     LINES,
     PROFILE,
     ROAD,
@@ -184,7 +184,7 @@ def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
     recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def listed(metadata: Mapping[str, str]) -> str:
+def list_metadata(metadata: Mapping[str, str]) -> str:
     """Returns metadata as Markdown: a table of short values, then the long ones, cut after `READ` characters."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     table = Table("metadata", "", ("key", "value"), tuple(short.items()))
@@ -266,7 +266,7 @@ def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Tra
 
 def _log_tyre(recording: rr.RecordingStream, path: str, scene: Scene, tyre: Tyre) -> None:
     vertices, triangles = tyre_surface(tyre)
-    colour = np.where(tyre.lifted[:, None], np.array(LIFTED), 255 * tyre.rgba[:3]).round().astype(np.uint8)
+    colour = np.where(tyre.lifted[:, None], np.array(LIFTED_COLOUR), 255 * tyre.rgba[:3]).round().astype(np.uint8)
     recording.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles), static=True)
     count = vertices.shape[1]
     columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3).astype(np.float32)).partition([count] * len(vertices))

@@ -25,7 +25,7 @@ from sim.recording.rerun_contents import (
     curve_path,
     entity,
     lines,
-    listed,
+    list_metadata,
     log_events,
     log_properties,
     log_scene,
@@ -71,7 +71,7 @@ def _page(runs: Sequence[RunLog], run: RunLog) -> rrb.Container:
     if run.events:
         columns = rrb.archetypes.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
         left.append(rrb.TextLogView(origin=entity(run.name, "events"), name="what happened", columns=columns))
-    plots = _paged([_plots(page, [run]) for page in pages(runs, [run])])
+    plots = _tab_container([_plots(page, [run]) for page in pages(runs, [run])])
     return rrb.Horizontal(rrb.Vertical(*left, row_shares=[5, 4, 2][: len(left)]), plots, column_shares=[1, 2], name=run.name)
 
 
@@ -81,14 +81,14 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
     aspect = CARS / columns * -(-len(runs) // columns)
     cars = rrb.Grid(*(_car(run, aspect) for run in runs), grid_columns=columns)
     certificates = rrb.TextDocumentView(origin=entity("certificates"), name="certificates")
-    plots = _paged([_plots(page, runs) for page in pages(runs, runs)])
+    plots = _tab_container([_plots(page, runs) for page in pages(runs, runs)])
     table = LETTER * (LETTERS + max(len(name) for name in ("controller", *(run.name for run in runs))))
     return rrb.Vertical(
         rrb.Horizontal(cars, certificates, column_shares=[1 - table, table]), plots, row_shares=[4, 5], name="all"
     )
 
 
-def _paged(pages: Sequence[rrb.Container]) -> rrb.Container:
+def _tab_container(pages: Sequence[rrb.Container]) -> rrb.Container:
     return pages[0] if len(pages) == 1 else rrb.Tabs(*pages, active_tab=0)
 
 
@@ -213,14 +213,14 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         recording.send_blueprint(layout(runs))
         recording.send_recording_name(", ".join(run.name for run in runs))
         log_properties(recording, "roadproof", metadata)
-        log_text(recording, entity("metadata"), listed(metadata))
+        log_text(recording, entity("metadata"), list_metadata(metadata))
         if len(runs) > 1:
             log_text(recording, entity("certificates"), certificates(runs))
         largest = largest_force(run.scene for run in runs)
         for run in runs:
             color = colour_of(runs, run)
             log_properties(recording, f"run {run.name}", run.metadata)
-            log_text(recording, entity(run.name, "summary"), run.summary + "\n\n---\n\n" + listed(run.metadata))
+            log_text(recording, entity(run.name, "summary"), run.summary + "\n\n---\n\n" + list_metadata(run.metadata))
             log_signals(recording, run, color)
             log_events(recording, run)
             log_scene(recording, run, largest)

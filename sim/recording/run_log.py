@@ -22,7 +22,7 @@ RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambd
 # is called `linear`; everywhere else it is "sampled".
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
 LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format lack them
-MEASURED = "measured"  # topic of a measured log, if any, at its own times
+MEASURED_TOPIC = "measured"  # topic of a measured log, if any, at its own times
 WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 

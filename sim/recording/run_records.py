@@ -19,11 +19,11 @@ from models.common.extensions import FEATURES
 from models.document.text import markdown
 from models.kinds.signals import is_kept
 from models.roads.road import Road, RoadInput, delays
-from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
+from models.vehicle.mjcf import FITTED_PREFIX, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
-from sim.drive.loop import DIVERGED
+from sim.drive.loop import DIVERGENCE_LIMIT
 from sim.drive.response import Response
-from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MEASURED_TOPIC, MUJOCO, SAMPLED, SIGNALS, RunLog, RunName
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.runs.report import BALANCE, HALF_STEP, controller_record, describe_run, events, verdict
 from sim.runs.run import Run
@@ -66,7 +66,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     model = build_model(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
-    frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
+    frames = frames[np.all(np.abs(qpos[frames]) < DIVERGENCE_LIMIT, axis=-1)]
     heights = road_input.heights[frames]  # not computed again, which is slow for a random road at uneven times
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
@@ -93,7 +93,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
         springs={name: coils[:, i] for i, name in enumerate(springs)},
         tyres=tuple(_tyre(model, i, tendons[model.geom(i).name], lengths) for i in rubber),
         forces={name: physics[signal][frames] for name, signal in _actuators(model).items() if name in springs},
-        tracks=_tracks(vehicle, road_input.felt, data.mocap_pos[mocap], time[frames], heights),
+        tracks=_tracks(vehicle, road_input.relative_road, data.mocap_pos[mocap], time[frames], heights),
     )
 
 
@@ -131,7 +131,7 @@ def _actuators(model: mujoco.MjModel) -> dict[str, str]:
     """Returns the signal of every actuator on a tendon, by tendon, without actuators added for curves."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
-    controls = {i: name for i, name in names.items() if not name.startswith(FITTED)}
+    controls = {i: name for i, name in names.items() if not name.startswith(FITTED_PREFIX)}
     return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in controls.items()}
 
 
@@ -216,7 +216,7 @@ def record_runs(
     return {name: str(path) for name, path in paths.items()}
 
 
-def _named(what: str, suffix: str, content: bytes) -> str:
+def _attachment_name(what: str, suffix: str, content: bytes) -> str:
     """Returns the name of an attachment, with a hash, so that runs share equal attachments."""
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
@@ -228,7 +228,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
     named: dict[str, str] = {}
     points = road.points
     if points is not None:
-        named["road_file"] = _named("road", "csv", points)
+        named["road_file"] = _attachment_name("road", "csv", points)
         files[named["road_file"]] = ("text/csv", points)
     proved: dict[str, Any] = {}
     if controller.user_code is True:
@@ -238,7 +238,7 @@ def claims_of(run: Run) -> tuple[dict[str, Any], dict[str, tuple[str, bytes]]]:
             ("law", "py", "text/x-python", controller.source.encode()),
             ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.requested_force)),
         ):
-            named[f"{what}_file"] = _named(what, suffix, content)
+            named[f"{what}_file"] = _attachment_name(what, suffix, content)
             files[named[f"{what}_file"]] = (media_type, content)
     elif controller.linear is True:
         certificate = controller.certificate
@@ -297,12 +297,12 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
     drawn: tuple[Diagram, ...] = ()
     responses = {MUJOCO: run.physics, SAMPLED: run.sampled, CONTINUOUS: run.continuous}
     if road.loaded:
-        acting[LOADS] = FEATURES.load("forces of parts").pushed(vehicle, road, run.physics.time)
+        acting[LOADS] = FEATURES.load("forces of parts").load_histories(vehicle, road, run.physics.time)
     if vehicle.parts.with_curve or vehicle.parts.adjustable:
         force_diagram = FEATURES.load("force diagrams")
-        acting[DAMPERS], drawn = force_diagram.pulled(vehicle, run.physics), tuple(force_diagram.diagrams(vehicle))
+        acting[DAMPERS], drawn = force_diagram.diagram_signals(vehicle, run.physics), tuple(force_diagram.diagrams(vehicle))
     if measured is not None and (names := [one for one in measured.names if one in run.physics.names]):
-        acting[MEASURED] = measured.only(names)
+        acting[MEASURED_TOPIC] = measured.only(names)
     return RunLog(
         name=name,
         responses={name: one for name, one in responses.items() if name == MUJOCO or not np.isnan(one.values).all()},

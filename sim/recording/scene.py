@@ -183,7 +183,7 @@ SECTORS = 40  # of a tyre
 # Radius [m] and colour of the lines of a strut: coil, rod and tube.
 LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110)))
 
-LIFTED = (214, 39, 40)  # colour of a tyre off the ground
+LIFTED_COLOUR = (214, 39, 40)  # colour of a tyre off the ground
 FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
 BESIDE = np.array([0.0, 0.16, 0.0])  # position of an arrow, from the middle of its spring [m]
 

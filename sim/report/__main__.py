@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from models.common.command import Parser, chosen_of, print_json, remarked
+from models.common.command import Parser, chosen_of, print_json, print_remarks
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, show, some_sentences
 from models.vehicle.names import LOAD_SYNTAX, PLUS, without_copies
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, vehicle file or output file.
     """
     options = _parser().parse_args(arguments)
-    from models.document.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.page import check_page
     from models.document.picture import check_drawing
     from models.roads.load_choice import choose_load
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
         with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
-            results[title] = _reported(options, vehicle, names, loads, pool, outputs[title])
+            results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].compared})
     if len(subjects) > 1:
         return _several(options, outputs, results, undesigned)
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     others, page = omitted_controllers(vehicle, options.controller, names), result.page
     older = _others(page, options.figures) if options.figures is not None else []
     if options.json:
-        whole = {**record(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
+        whole = {**record(result), **output_paths(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print_json(whole)
     else:
         left = ["other files in figures, left unchanged", *(Whole(f"  {name}") for name in older)] if older else []
@@ -156,13 +156,13 @@ def _several(
     undesigned: Sequence[str],
 ) -> int:
     """Prints one table of several vehicles; returns the exit code."""
-    from models.document.outputs import written, written_lines
+    from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
     from sim.studies.ride.standing import record_of_standings, standing_lines
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
-        whole = {title: {**record(result), **written(outputs[title])} for title, result in results.items()}
+        whole = {title: {**record(result), **output_paths(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
         print_json({"reports": whole, "compared": record_of_standings(compared), **left})
     else:
@@ -171,7 +171,7 @@ def _several(
     return 1 if undesigned else 0
 
 
-def _reported(
+def _write_report(
     options: argparse.Namespace,
     vehicle: "Vehicle",
     names: Sequence[str],
@@ -196,7 +196,7 @@ def _reported(
     road, name, duration = None, "", BUMP_DURATION
     if options.road is not None or options.road_class is not None:
         duration = options.duration
-        road = remarked(requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep)))
+        road = print_remarks(requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep)))
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
     elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
@@ -231,7 +231,7 @@ OF_A_VEHICLE = (
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
-    from models.document.outputs import check_outputs, written, written_lines
+    from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names
@@ -256,7 +256,7 @@ def _gallery(options: argparse.Namespace) -> int:
     _write(page, outputs)
     stage.end()
     if options.json:
-        print_json({**gallery.record(request, results), **written(outputs)})
+        print_json({**gallery.record(request, results), **output_paths(outputs)})
     else:
         say([*written_lines(outputs)[1:], "", page.headline, *(one.text for one in page.summary.statements)])
     return 1 if page.state == "fails" else 0

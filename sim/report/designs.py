@@ -21,7 +21,7 @@ from synth.command.table import Row, describe
 from synth.controller.controller import Controller
 from synth.controller.report import BOUND, NORM, failures_of_sampled_loop, study_notes
 from synth.vehicle.designer import Designer
-from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
+from synth.vehicle.paper import BOX, PRINTED_NUMBERS, SEED, Way, WithoutL, entry_of, is_the_papers, ours, remark_4, remark_5
 
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
@@ -130,7 +130,7 @@ def per_unit(unit: str, other: str) -> str:
 def paper_section(scope: Subject, progress: Progress) -> Document:
     """Returns the section on the numbers that the paper prints of its designs, and ours from scratch."""
     values, rows = ours(scope.designer), []
-    for row in PRINTED:
+    for row in PRINTED_NUMBERS:
         entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
         decimals, mine = max(0, -math.floor(math.log10(row.digit))), entry_of(values[row.quantity], row.entry)
         same = round(mine / row.digit) == round(row.value / row.digit)

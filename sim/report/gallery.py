@@ -8,12 +8,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.document.document import Document, Table
-from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, thinned
+from models.document.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, drawn_indices
 from models.document.page import VERDICTS, Page
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
-from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven
+from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, run_of_number
 from sim.studies.gallery.report import Result, describe, summary
 from synth.analysis.norm import largest_singular_values
 
@@ -58,8 +58,8 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
     """Returns the response that a number is of; None if it is of none."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
-        run, peaks = driven(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]
-        same = [peak for peak in peaks if peak.signal == one.signal and driven(designer_of(entry, peak), peak) is run]
+        run, peaks = run_of_number(designer, one), [each.printed for each in numbers if each.printed.what == "peak"]
+        same = [peak for peak in peaks if peak.signal == one.signal and run_of_number(designer_of(entry, peak), peak) is run]
         return _over_time(run, same, one)
     if one.what == "ratio":
         hertz = np.geomspace(one.hertz / BAND, one.hertz * BAND, ABOUT)
@@ -80,7 +80,7 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
 def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> Panel:
     """Returns a signal over time, with the printed peaks on the side where the response has its own."""
     time, exact = run.continuous.time, one.scale * run.continuous[one.signal]
-    some, marks = thinned(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))
+    some, marks = drawn_indices(exact, max(len(time) // POINTS, 1)), slice(None, None, max(len(time) // MARKS, 1))
     unit = one.unit or (run.vehicle.kind.signal(one.signal).unit if one.scale == 1 else "-")
     side = math.copysign(1.0, float(exact[np.abs(exact).argmax()]))
     physics = one.scale * run.physics[one.signal]

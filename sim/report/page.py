@@ -15,7 +15,7 @@ from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
 from sim.studies.registry import study
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.standing import Standing, headline, record_of_standings, some_names, standing, without_unsound
+from sim.studies.ride.standing import Score, headline, record_of_standings, score_of, some_names, without_unsound
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
@@ -35,7 +35,7 @@ class Report:
     """
 
     page: Page
-    compared: list[Standing]
+    compared: list[Score]
     compared_on: str
 
 
@@ -81,7 +81,7 @@ def stages(scope: Subject) -> tuple[str, ...]:
     return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
 
 
-def _compared(scope: Subject, over_roads: Sequence[Standing]) -> list[Standing]:
+def _compared(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
     """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
 
     A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
@@ -91,7 +91,7 @@ def _compared(scope: Subject, over_roads: Sequence[Standing]) -> list[Standing]:
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
     unsound = [one.name for one in scope.driven if one.growth]
-    return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
+    return without_unsound([there.get(name) or score_of(scope.vehicle, name, {}) for name in names], unsound)
 
 
 def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:

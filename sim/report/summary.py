@@ -11,11 +11,11 @@ from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
 from models.document.text import CHANGE
 from models.vehicle.names import PASSIVE
-from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, reached
+from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, end_times
 from sim.observers.results import WHEN
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
-from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Standing, best, compared_table, headline
+from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Score, best, compared_table, headline
 from sim.studies.ride.standing import digits as of_table
 from sim.studies.subject import AVERAGE, NAME, SEEDS, SPEED, Subject
 from sim.studies.validity.edges import HEIGHT
@@ -27,7 +27,7 @@ PANELS = {one: bars for one in FIELDS if (bars := COLUMNS[one.key].bars)}  # of 
 
 
 def first_screen(
-    scope: Subject, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
+    scope: Subject, runs: Sequence[Run], compared: Sequence[Score], dive: Mapping[str, float], where: str
 ) -> Document:
     """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
 
@@ -36,12 +36,12 @@ def first_screen(
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """
-    more = [Field[Standing]("dive under 0.5 g", lambda one: dive.get(one.controller), of_table, unit="deg")] if dive else []
+    more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), of_table, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
     return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 
 
-def _bars(scope: Subject, compared: Sequence[Standing], dives: Sequence[Field[Standing]], table: Table, where: str) -> Figure:
+def _bars(scope: Subject, compared: Sequence[Score], dives: Sequence[Field[Score]], table: Table, where: str) -> Figure:
     """Returns bars of ride, travel, tyre load, force and dive of every controller, with changes as in the table."""
     names = tuple(one.controller for one in compared)
     look, marked = {**styles((PASSIVE,)), **scope.styles}, best(compared)
@@ -75,7 +75,7 @@ def requirements_table(scope: Subject, runs: Sequence[Run]) -> Table | None:
             rows.append((what, one.name, f"{'✓' if goal.holds else '✗'} {digits(goal.value)} {goal.unit}".rstrip()))
     road = "road" if scope.own_road is not None else "bump"
     for run in runs:
-        ended = reached(scope.vehicle, run.physics)
+        ended = end_times(scope.vehicle, run.physics)
         for end in (one for one in (BUMP_STOP, SATURATION, RATE_LIMIT) if one.thresholds(scope.vehicle)):
             when = float(ended[REGIME_ENDS.index(end)])
             kept = "✓ not reached" if math.isinf(when) else f"✗ at {WHEN.text(when)}"
@@ -113,7 +113,7 @@ def trust_section(scope: Subject, runs: Sequence[Run], ends: Sequence[OneEnd], w
     return Document("Verification", (Table.of("summary", caption, columns, runs),))
 
 
-def compared_on(scope: Subject, compared: Sequence[Standing], rides: bool, when: str) -> str:
+def compared_on(scope: Subject, compared: Sequence[Score], rides: bool, when: str) -> str:
     """Describes the roads that controllers are compared on: the report's own, measured when, random ones, or the bump."""
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:

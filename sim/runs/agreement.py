@@ -26,11 +26,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
+from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, end_times
 from sim.drive.response import Response
 from sim.linear.rounding import effect_on_states, roundings
 from sim.observers.recorder import Recording, from_steady
@@ -151,7 +151,7 @@ class LinearComparison:
 
 
 @dataclass(frozen=True, repr=False)
-class Agreement(Shown):
+class Agreement(ShownResult):
     """The verdict on one run.
 
     Attributes:
@@ -171,7 +171,7 @@ class Agreement(Shown):
     code_effect: "CodeEffect | None" = None
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
         ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
@@ -210,9 +210,9 @@ class Agreement(Shown):
         return self.steps is not None or self.linear.agrees
 
     @property
-    def lost(self) -> bool:
+    def equations_invalid(self) -> bool:
         """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
-        return self.steps is not None and self.steps.lost and self.steps.until == self.until
+        return self.steps is not None and self.steps.equations_invalid and self.steps.until == self.until
 
 
 def compare(prediction: Prediction, recording: Recording) -> Agreement:
@@ -223,12 +223,12 @@ def compare(prediction: Prediction, recording: Recording) -> Agreement:
         recording: the run.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
-    ended = dict(zip(END_NAMES, reached(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
+    ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
     loose = first_loose(road, physics)
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), loose, diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     if prediction.is_linear and _passes_through(vehicle, physics):
-        foretold = dict(zip(END_NAMES, reached(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
+        foretold = dict(zip(END_NAMES, end_times(vehicle, prediction.sampled).tolist(), strict=True))[FLAT.name]
         if foretold < until:
             ended[FLAT.name] = until = foretold
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
@@ -237,7 +237,7 @@ def compare(prediction: Prediction, recording: Recording) -> Agreement:
         if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
             end = min(end, ended[LIFT_OFF.name], loose)
         steps = compare_steps(road, recording, end, rounding)
-        if steps is not None and steps.lost:
+        if steps is not None and steps.equations_invalid:
             until = min(until, steps.until)
     if not prediction.replayed and (compare_commands := observer("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from models import USUAL_TIMESTEP
 from models.common.checks import AT_LEAST_ONE, Must, Time
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.laws.python_law import of_function
 from models.roads.road import Road
 from models.vehicle.controllers import ControllerEntry
@@ -74,5 +74,5 @@ def _driver(designer: Designer, given: ControllerLike) -> AnyController:
         return of_function(given, designer.vehicle.linear_model.measurable)
     name, known = given if isinstance(given, str) else given.name, designer.vehicle.controllers
     if isinstance(given, ControllerEntry) and known.get(name) is not given:
-        raise InputError(f"controllers: {name!r} belongs to another vehicle; give one of {listing(known)} of this vehicle")
+        raise InputError(f"controllers: {name!r} belongs to another vehicle; give one of {list_names(known)} of this vehicle")
     return designer.vehicle.driver(name, designer.design)

@@ -8,7 +8,7 @@ import numpy as np
 from models.parts.damper_range import range_of
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.drive.regime import MISSED
+from sim.drive.regime import MISSING_FORCE
 from sim.drive.response import Response
 from sim.linear.dampers import closing_velocities, commands_of, squarable
 
@@ -52,5 +52,7 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
         kept = None
         if one.damper.bandwidth is not None:
             kept = float(np.sqrt(np.mean((requested - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
-        by_force[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
+        by_force[one.force] = Shortfall(
+            share, float(np.mean(np.abs(missing) > MISSING_FORCE)), float(c.min()), float(c.max()), kept
+        )
     return by_force

@@ -61,13 +61,13 @@ class Diagram:
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
     """Returns the diagrams of a vehicle's curves, then of its adjustable dampers."""
-    adjusted = {vehicle.kind.pushed(adjustable.force) for adjustable in vehicle.parts.adjustable}
+    adjusted = {vehicle.kind.deflection_of(adjustable.force) for adjustable in vehicle.parts.adjustable}
     alone = [fitted for fitted in vehicle.parts.with_curve if not fitted.damps or fitted.deflection not in adjusted]
     of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.parts.adjustable]
     return [*(_of_curve(vehicle, fitted) for fitted in alone), *of_adjustable]
 
 
-def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
+def diagram_signals(vehicle: Vehicle, physics: Response) -> Response | None:
     """Returns the signals of all diagrams over time, from a response, or None if the vehicle has no diagrams.
 
     Each diagram plots the force, and the curve or the limits, over the argument.
@@ -86,7 +86,7 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     actuator, damper, ratios = one.place.force, one.damps, MotionRatios([vehicle])
     pushed = damper and not one.element and actuator in vehicle.linear_model.inputs
     words = signal.name.replace("_", " ")
-    what, ending = one.element or ("damper" if damper else "spring"), _ending(one.deflection)
+    what, ending = one.element or ("damper" if damper else "spring"), _suspension_suffix(one.deflection)
 
     def force(x: Array, response: Response) -> Array:
         pull = one.part.pull(*((response[one.deflection], x) if damper else (x, np.zeros_like(x))))
@@ -95,8 +95,10 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     return Diagram(
         f"{one.name.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
-        _named(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
-        _named(what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"),
+        _diagram_signal(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
+        _diagram_signal(
+            what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"
+        ),
         lambda response: response[signal.name],
         force,
         (
@@ -107,16 +109,16 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
 
 
 def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
-    from sim.linear.dampers import stretching
+    from sim.linear.dampers import stretching_rates
 
     model = vehicle.linear_model
-    row = stretching(vehicle)[model.inputs.index(one.force)]
+    row = stretching_rates(vehicle)[model.inputs.index(one.force)]
     place = one.ending.replace("_", " ")
     elements = {model.inputs[other.column]: other for other in range_of([vehicle]).elements}
     labels, line = ("c_min", "c_max"), one.nominal
 
     def force(x: Array, response: Response) -> Array:
-        return one.ramp(x, 0.0) - response[one.force]
+        return one.force_at(x, 0.0) - response[one.force]
 
     if (element := elements.get(one.force)) is not None:
         labels, line = ("lowest voltage", "largest voltage"), float(element.element.line.damping)
@@ -127,32 +129,32 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
     return Diagram(
         f"adjustable damper{place}",
         f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
-        _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
-        _named("damper", "force", one.ending, "N", "all that it pulls together with"),
+        _diagram_signal("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
+        _diagram_signal("damper", "force", one.ending, "N", "all that it pulls together with"),
         lambda response: (
             np.stack([response[name] for name in model.states], axis=-1)
             @ row
-            * MotionRatios([vehicle]).turn(one.force, response[vehicle.kind.pushed(one.force)])
+            * MotionRatios([vehicle]).turn(one.force, response[vehicle.kind.deflection_of(one.force)])
         ),
         force,
         (
-            _line("damper", one.ending, labels[0], "solid", 1.8, lambda x: one.ramp(x, one.low)),
-            _line("damper", one.ending, labels[1], "solid", 1.8, lambda x: one.ramp(x, one.high)),
+            _line("damper", one.ending, labels[0], "solid", 1.8, lambda x: one.force_at(x, one.low)),
+            _line("damper", one.ending, labels[1], "solid", 1.8, lambda x: one.force_at(x, one.high)),
             _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: line * x),
         ),
     )
 
 
-def _ending(deflection: str) -> str:
+def _suspension_suffix(deflection: str) -> str:
     """Returns the part of a suspension's signal names that distinguishes it from others."""
     return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
 
 
-def _named(what: str, quantity: str, ending: str, unit: str, meaning: str) -> Signal:
+def _diagram_signal(what: str, quantity: str, ending: str, unit: str, meaning: str) -> Signal:
     place = ending.replace("_", " ")
     return Signal(f"{what}_{quantity}{ending}", f"{quantity.replace('_', ' ')}{place}", unit, f"{what}{place}: {meaning}")
 
 
 def _line(what: str, ending: str, label: str, dash: Dash, width: float, force: Callable[[Array], Array]) -> Line:
-    signal = _named(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at what was reached")
+    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at what was reached")
     return Line(signal, label, dash, width, force)

@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response
 
 
-def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
+def load_histories(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     """Returns the loads: their sum in each direction, then each one if there are several; None for a road without loads.
 
     They are held over a step at their value midway through it, as they act.
@@ -23,10 +23,10 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     if not isinstance(road, RoadWithLoads):
         return None
     midway = time + (time[1] - time[0]) / 2
-    acting = [load.over(midway, vehicle.parameters, vehicle.kind) for load in road.on_body]
+    acting = [load.at(midway, vehicle.parameters, vehicle.kind) for load in road.on_body]
     ways = {load.name: load_signal(load.name) for load in vehicle.kind.loads if any(load.name in one for one in acting)}
     together, alone, signals = {name: np.zeros(len(time)) for name in ways}, [], []
-    for load, called, force in zip(road.on_body, _called(road.on_body), acting, strict=True):
+    for load, called, force in zip(road.on_body, _load_names(road.on_body), acting, strict=True):
         for name, one in force.items():
             together[name] = together[name] + one
             meaning = f"{ways[name].meaning}: of {load.label}"
@@ -38,7 +38,7 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     return Response(time, tuple(all_signals), np.stack([*together.values(), *alone], axis=-1))
 
 
-def _called(loads: Sequence[Load]) -> list[str]:
+def _load_names(loads: Sequence[Load]) -> list[str]:
     """Returns a name for each load: its kind, with a number if there are several of that kind."""
     kinds = [load.text.partition(":")[0] if load.label == load.text else "file" for load in loads]
     counted = [f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]

@@ -102,11 +102,15 @@ class Prediction:
         controller, road = self.controller if self.controller.linear is True else None, self.input
         if not self.is_linear:
             states = self.continuous.signals[len(self._nothing.signals) :]
-            nothing = self._nothing.beside(states, np.full((len(road.time), len(states)), np.nan))
+            nothing = self._nothing.with_signals(states, np.full((len(road.time), len(states)), np.nan))
             return nothing, nothing, None
         if self.vehicle.parts.nonlinear:
             stepping = FEATURES.load("stepped response")
-            runs = stepping.forced(self.requested_force, road) if controller is None else stepping.stepped([controller], [road])
+            runs = (
+                stepping.forced_run(self.requested_force, road)
+                if controller is None
+                else stepping.stepped_runs([controller], [road])
+            )
             response = with_decisions(runs.single, [self.vehicle])
             return response, response, runs.finer.run(0)
         if controller is not None:
@@ -186,7 +190,7 @@ class Prediction:
         return f"rounding to {code.law.numbers}" if code is not None and code.law.numbers != "double" else ""
 
 
-def predicted(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
+def predict_run(controller: AnyController, road: RoadInput, commands: Array, most_states: float = math.inf) -> Prediction:
     """Returns the prediction of one run from rest.
 
     Args:

@@ -34,7 +34,7 @@ from sim.drive.regime import (
     departures,
 )
 from sim.drive.response import Response
-from sim.observers.results import ALLOWED, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
+from sim.observers.results import ALLOWED_DIFFERENCE, DIFFERENCE, JOULES, WHEN, Energy, LocalAgreement
 from sim.runs.agreement import COARSEST, NO_REFERENCE, SMALL
 from sim.runs.result import COARSE, NOT_REPEATABLE, RunResult
 from synth.controller.controller import AnyController
@@ -57,7 +57,7 @@ from synth.controller.report import notes as controller_remarks
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
 
-LOST = "equations not valid"
+INVALID_EQUATIONS = "equations not valid"
 NO_STATE = "a strut is shorter than 0.1 m, or the body turns by more than 29 degrees"
 FEW = 3  # controllers with statements of their own; from more on, the answer would not fit a terminal
 NUMBERS = re.compile(r"(until|at|off by) ([\d.e+-]+) (s\b|%)")
@@ -264,16 +264,22 @@ def _when(run: RunResult) -> str:
     ended = [name for name, when in agreement.ended.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
         ended[ended.index(BUMP_STOP.name)] = FEATURES.load("stops that a run reaches").stop_names(run, agreement.until)
-    other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
+    other = (
+        INVALID_EQUATIONS
+        if agreement.equations_invalid
+        else broken_by(run.physics)
+        if run.diverged == agreement.until
+        else LIFT_OFF.name
+    )
     return f"until {WHEN.text(agreement.until)} ({' and '.join(ended or [other])})"
 
 
 def verdicts(runs: Iterable[RunResult], where: str = "") -> tuple[Statement, ...]:
     """Returns the verdicts on runs, after a text on where they were; runs with the same verdict share a statement."""
-    return shared(((run.controller.name, verdict(run)) for run in runs), where)
+    return share_statements(((run.controller.name, verdict(run)) for run in runs), where)
 
 
-def shared(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Statement, ...]:
+def share_statements(said: Iterable[tuple[str, Statement]], where: str = "") -> tuple[Statement, ...]:
     """Returns statements about several controllers; those with the same words share one, with the span of many times.
 
     Args:
@@ -361,8 +367,8 @@ def _events(run: RunResult) -> Iterator[str]:
     if times[FLAT.name] == agreement.until < math.inf:
         when = f"{WHEN.text(agreement.until)}; no later step is compared"
         yield f"flat: a tyre is compressed by more than {MOST_SQUEEZE} m at {when}"
-    if agreement.lost:
-        yield f"{LOST} from {WHEN.text(agreement.until)} on: {NO_STATE}; no later step is compared"
+    if agreement.equations_invalid:
+        yield f"{INVALID_EQUATIONS} from {WHEN.text(agreement.until)} on: {NO_STATE}; no later step is compared"
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> str:
@@ -394,7 +400,9 @@ def _checks(run: RunResult) -> Iterator[Statement]:
 
 def _check(subject: str, what: str, one: LocalAgreement) -> Statement:
     error = DIFFERENCE.digits(one.error) if one.error else "0"
-    text = f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED.digits(one.allowed)} is allowed"
+    text = (
+        f"{subject} {what}: largest error {error} of a peak ({one.signal}), {ALLOWED_DIFFERENCE.digits(one.allowed)} is allowed"
+    )
     return Statement(text, "note" if one.agrees else "fails")
 
 
@@ -596,4 +604,4 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
 def run_statements(runs: Sequence[RunResult], where: str) -> tuple[Statement, ...]:
     """Returns the verdicts on runs, after a text on where they were, and the reasons of each."""
     said = [(run.controller.name, one) for run in runs for one in reasons(run)]
-    return (*verdicts(runs, where), *(replace(one, detail="full") for one in shared(said)))
+    return (*verdicts(runs, where), *(replace(one, detail="full") for one in share_statements(said)))

@@ -127,10 +127,10 @@ class RunResult:
         return None if self.agreement.agrees and self.undecided else self.agreement.agrees
 
     @property
-    def doubts(self) -> Iterator[str]:
+    def warnings(self) -> Iterator[str]:
         """Remarks on the run and on its road."""
         yield from (f"controller {self.controller.name!r}: agrees is None, as {why}; {ADVICE[why]}" for why in self.undecided)
-        yield from self.road.doubts
+        yield from self.road.warnings
 
     @property
     def passed(self) -> bool:

@@ -12,7 +12,7 @@ from models.common.checks import Time
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.document.document import Block, Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.kinds.plausibility import remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
@@ -27,7 +27,7 @@ from sim.observers.recorder import Recording, record
 from sim.observers.registry import observer
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
-from sim.runs.prediction import Prediction, predicted
+from sim.runs.prediction import Prediction, predict_run
 from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller
@@ -41,11 +41,11 @@ STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(RunResult, Shown):
+class Run(RunResult, ShownResult):
     """Run of physics with its prediction, and its view at a prompt and in a notebook. Attributes as of `RunResult`."""
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns the verdict, and the vehicle, road and times as text."""
         rows = {
             "vehicle": self.vehicle.kind.name,
@@ -56,7 +56,7 @@ class Run(RunResult, Shown):
         return facts(f"run of {self.controller.name}: {verdict(self).text}", rows)
 
     @property
-    def drawn(self) -> tuple[Block, ...]:
+    def figures(self) -> tuple[Block, ...]:
         """The sizes of all signals, and the first weighted one over time."""
         from models.document.figure import BLUE, Figure, Style
 
@@ -128,7 +128,7 @@ def run_controllers(
     """
     recordings = record([Case(vehicle.with_actuators_of(one.name), one, road) for one in controllers], time)
     each = zip(controllers, recordings, strict=True)
-    runs = compare_runs([predicted(controller, one.input, one.commands) for controller, one in each], recordings)
+    runs = compare_runs([predict_run(controller, one.input, one.commands) for controller, one in each], recordings)
     return with_energy_balance(runs, recordings) if balanced else runs
 
 
@@ -158,7 +158,7 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
     if unknown:
-        made = _simulated(
+        made = _simulate_predictions(
             [runs[i].prediction for i in unknown],
             runs[0].prediction.time,
             lambda one: replace(one, implementation=one.implementation.without_noise),
@@ -208,17 +208,17 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         timestep = runs[0].prediction.timestep
         again = [replace(runs[i].prediction, requested_force=recordings[i].commands) for i in halved]
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
-        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
+        finer = _simulate_predictions(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
             if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.ended[FLAT.name])):
-                balance = balance.beside(half)
+                balance = balance.with_half_step(half)
             half_step = _half_step(run, finer[k].response) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
 
 
-def _simulated(
+def _simulate_predictions(
     predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> list[Recording]:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.

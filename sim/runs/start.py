@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from models.common.printed import percent, wrapped
+from models.common.printed import percent, wrap_text
 from models.roads.profile import Profile
 from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
@@ -19,8 +19,8 @@ from sim.observers.results import WHEN
 from sim.runs.result import RunResult
 
 RUN_IN = 10.0  # s, of the turned road at most
-SAID = 0.02  # of a peak
-ROUNDED = 1e3  # times the effect of rounding on a state or a signal: less is none
+SAID_SHARE = 0.02  # of a peak
+ROUNDING_FACTOR = 1e3  # times the effect of rounding on a state or a signal: less is none
 
 
 def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
@@ -28,7 +28,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
 
     None if it does not exceed 2 %.
     """
-    felt, vehicle = runs[0].prediction.input.felt, runs[0].vehicle
+    felt, vehicle = runs[0].prediction.input.relative_road, runs[0].vehicle
     road = felt.road if isinstance(felt, Departure) else None
     turned = road.turned(RUN_IN * road.speed) if isinstance(road, Profile) else None
     if road is None or turned is None:
@@ -41,7 +41,7 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
     names = [signal.name for signal in vehicle.kind.signals]
     apart = np.array([before[name][-1] - steady[0, names.index(name)] for name in model.states])
     rounding = roundings(vehicle, None)
-    apart[np.abs(apart) <= ROUNDED * np.array([rounding[name] for name in model.states])] = 0.0
+    apart[np.abs(apart) <= ROUNDING_FACTOR * np.array([rounding[name] for name in model.states])] = 0.0
     effects = [(0.0, "")]
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
@@ -53,10 +53,12 @@ def start_effect(runs: Sequence[RunResult]) -> tuple[float, str] | None:
         for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
             k = int(np.abs(physics[signal]).argmax())
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
-            if (peak := float(physics.peak(signal))) > ROUNDED * least[signal]:  # else it is rounding, as in a motionless run
+            if (peak := float(physics.peak(signal))) > ROUNDING_FACTOR * least[
+                signal
+            ]:  # else it is rounding, as in a motionless run
                 effects.append((left / peak, f"the peak of {run.controller.name}'s {signal} at {WHEN.text(k * h)}"))
     worst = max(effects)
-    return worst if worst[0] > SAID else None
+    return worst if worst[0] > SAID_SHARE else None
 
 
 def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
@@ -69,7 +71,7 @@ def start_lines(runs: Sequence[RunResult], later: bool) -> list[str]:
     if effect is None:
         return []
     share, peak = effect
-    return wrapped(
+    return wrap_text(
         f"remark: the unknown road before the start could change {peak} by {percent(share)}; "
         f"start {'earlier or ' if later else ''}elsewhere with --from"
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import as_name
-from models.document.figure import GREY, Curve, Figure, Panel, Style, margined, styles, thinned
+from models.document.figure import GREY, Curve, Figure, Panel, Style, axis_ends, drawn_indices, styles
 from models.kinds.signals import Signal
 from sim.drive.response import Response
 from sim.observers.results import WHEN
@@ -17,7 +17,7 @@ from sim.runs.result import RunResult
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
-NAMED = 2  # runs that leave an axis, in its title
+NAMED_RUNS = 2  # runs that leave an axis, in its title
 LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # widths [points]; `FAINT` is a share
 MOST_SWINGS = 80  # of a line that can be followed; a run with more has panels of its hardest stretch, too
 
@@ -74,7 +74,7 @@ class _Trace:
         if after.any():
             values = physics[self.name][after]
             curves.append(_line(physics.time[after], values, style, width, who, f"{who}, MuJoCo"))
-        marked = _marked(physics[self.name], every)
+        marked = _marker_indices(physics[self.name], every)
         for filled in (False, True):
             some = marked[after[marked] == filled]
             if len(some):
@@ -85,11 +85,11 @@ class _Trace:
 
 def _line(time: Array, values: Array, style: Style, width: float, label: str, name: str) -> Curve:
     """Returns a line of at most about `OF_LINE` points, with all its peaks."""
-    some = thinned(values, -(-len(time) // OF_LINE))
+    some = drawn_indices(values, -(-len(time) // OF_LINE))
     return Curve(time[some], values[some], label, style.color, style.dash, width=width, name=name)
 
 
-def _marked(values: Array, every: int) -> Array:
+def _marker_indices(values: Array, every: int) -> Array:
     """Returns the indices of samples to mark: every so many, but at a peak where one is near, and both extremes."""
     if not len(values):
         return np.zeros(0, dtype=int)
@@ -123,14 +123,14 @@ def history_panels(
     start, end = during or (0.0, _end(runs))
     every = max(1, round((end - start) / (POINTS * runs[0].prediction.timestep)))
     logged = None if measured is None else _between(measured, start, end)
-    signals = _weighed(runs) | ({} if measured is None else dict(zip(measured.names, measured.signals, strict=True)))
+    signals = _weighted_signals(runs) | ({} if measured is None else dict(zip(measured.names, measured.signals, strict=True)))
     for name, signal in signals.items():
         traces = [_trace(run, name, start, end) for run in runs if _moves(run, name)]
         if not any(len(trace.values) for trace in traces):
             continue
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
         of_log = logged[name] if logged is not None and name in logged.names else np.zeros(0)
-        low, high = margined([*_seen(traces), *([of_log[np.isfinite(of_log)]] if np.isfinite(of_log).any() else [])])
+        low, high = axis_ends([*_seen(traces), *([of_log[np.isfinite(of_log)]] if np.isfinite(of_log).any() else [])])
         dense = during is None and max(_swings(trace.physics[name]) for trace in traces) > MOST_SWINGS
         left = [trace.left(low, high) for trace in traces]
         curves = [
@@ -143,8 +143,8 @@ def history_panels(
         title = f"{words}, {signal.symbol}"
         title += f", from {WHEN.digits(start)} to {WHEN.text(end)}" if during else ""
         gone = sorted((at, trace.run.controller.name) for trace, at in zip(traces, left, strict=True) if at < math.inf)
-        named = ", ".join(f"{as_name(who)} at {WHEN.text(at)}" for at, who in gone[:NAMED])
-        more = f" and {len(gone) - NAMED} more" if len(gone) > NAMED else ""
+        named = ", ".join(f"{as_name(who)} at {WHEN.text(at)}" for at, who in gone[:NAMED_RUNS])
+        more = f" and {len(gone) - NAMED_RUNS} more" if len(gone) > NAMED_RUNS else ""
         title += f"\nleaves the axis: {named}{more}" if gone and not during else ""
         panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(low, high)))
     return panels
@@ -156,7 +156,7 @@ def _end(runs: Sequence[RunResult]) -> float:
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
 
-def _weighed(runs: Sequence[RunResult]) -> dict[str, Signal]:
+def _weighted_signals(runs: Sequence[RunResult]) -> dict[str, Signal]:
     """Returns the signals that a vehicle of the runs weighs, by name."""
     vehicles = [run.vehicle for run in runs]
     return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
@@ -172,9 +172,9 @@ def _moves(run: RunResult, name: str) -> bool:
 
 def _trace(run: RunResult, name: str, start: float, end: float) -> _Trace:
     """Returns what is drawn of one signal of one run between two times [s]."""
-    line = run.sampled if _bounded(run) else run.sampled.until(run.agreement.until)
+    line = run.sampled if _stays_bounded(run) else run.sampled.until(run.agreement.until)
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
-    return _Trace(run, name, _bounded(run), *(_between(response, start, end) for response in (line, physics)))
+    return _Trace(run, name, _stays_bounded(run), *(_between(response, start, end) for response in (line, physics)))
 
 
 def _between(response: Response, start: float, end: float) -> Response:
@@ -225,8 +225,8 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
 
     It has about `MOST_SWINGS` of the signal that swings most often.
     """
-    weighed = list(_weighed(runs))
-    bounded_runs = [run for run in runs if _bounded(run)]
+    weighed = list(_weighted_signals(runs))
+    bounded_runs = [run for run in runs if _stays_bounded(run)]
     swings = max((_swings(run.physics[name]) for run in bounded_runs for name in weighed if _moves(run, name)), default=0)
     if swings <= MOST_SWINGS:
         return None
@@ -239,7 +239,7 @@ def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
     return start, start + length
 
 
-def _bounded(run: RunResult) -> bool:
+def _stays_bounded(run: RunResult) -> bool:
     """Returns True if a run has not broken off and its loop is not known to be unstable."""
     return run.broke_off is None and not run.prediction.radius >= 1  # NaN of a loop that is not linear
 

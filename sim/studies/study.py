@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from models.common.command import Parser
-from models.common.printed import titled
+from models.common.printed import title_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -103,7 +103,7 @@ class Study(Generic[R]):
         """Returns the printed lines; `files` are the lines on written files."""
         from models.document.text import text_lines
 
-        title = titled(self.title(request, result), request.vehicle.source)
+        title = title_lines(self.title(request, result), request.vehicle.source)
         detail = "full" if getattr(request.options, "verbose", False) else "normal"
         return [*title, *files, "", *text_lines(self.describe(request, result), detail)]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.common.printed import digits, rough
 from synth.analysis.norm import EXACT, Gain, Norm, by_both_routes, discrete_by_both_routes, proposals
 from synth.analysis.specification import FREQUENCY
@@ -98,8 +98,8 @@ def check_band(low: float, high: float) -> None:
     """Raises an InputError if 0 <= low < high [rad/s] is violated."""
     if not 0 <= low < high:
         raise InputError(
-            f"low = {quoted(low)} to high = {quoted(high)} rad/s is not a frequency band; give low from 0 upwards, and high "
-            "above low"
+            f"low = {short_repr(low)} to high = {short_repr(high)} rad/s is not a frequency band; give low from 0 upwards, and "
+            "high above low"
         )
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of the bound from the norm; the first that is proved counts
 SMALL = (1e-9, 1e-6, 1e-3)  # relative to the size of the plant's matrices: bounds for norms that are nearly zero
-ADDED = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a share of the margin: small, but more than rounding
+ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a share of the margin: small, but more than rounding
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # noise on every state, as a share of the disturbance's power, so that X > 0
 LOOSE = (1.0, 10.0, 100.0)  # margins if rounding leaves no closer proof, as for a z in which large states cancel
 LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)  # with LOOSE: noise as a share of z's power, more on states that z observes less
@@ -35,7 +35,7 @@ def certify_tightly(
     plant: Plant,
     G: Array | Feedback,
     lower_bound: "LowerBound | None" = None,
-    by_itself: Plant | None = None,
+    plant_without_law: Plant | None = None,
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
 
@@ -44,9 +44,9 @@ def certify_tightly(
     Args:
         G: the gain from measurements (6), or a state gain, shape (m, n).
         lower_bound: lower bound on the norm of any controller of the gain's type.
-        by_itself: name for messages, as in `certify`.
+        plant_without_law: name for messages, as in `certify`.
     """
-    plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
+    plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     # A peak near z = -1 is mapped to 0, not to infinity: there the weight of the Riccati equation would be singular.
@@ -59,7 +59,7 @@ def certify_tightly(
     small = [(least * unit, 1.0) for least in SMALL if least * unit > 2 * plain.norm.value]
     close = above[: len(MARGINS)]
     for levels, everywhere, least_seen in ((close, EVERYWHERE, False), (above, LEAST_SEEN, True), (small, EVERYWHERE, False)):
-        for (gamma, margin), share, strength in product(levels, ADDED, everywhere):
+        for (gamma, margin), share, strength in product(levels, ADDED_NOISE, everywhere):
             try:
                 X = step * bounding_x(loop, gamma, share * margin, strength, least_seen)
             except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm for the Riccati solver
@@ -72,7 +72,7 @@ def certify_tightly(
 
 def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" = None) -> Certificate:
     """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
-    return certify_tightly(*plant.with_law(law), lower_bound, by_itself=plant)
+    return certify_tightly(*plant.with_law(law), lower_bound, plant_without_law=plant)
 
 
 def roomy_proof(certificate: Certificate) -> LmiProof | None:

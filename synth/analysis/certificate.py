@@ -40,7 +40,7 @@ from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import about, difference, digits, magnitude
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
 from synth.analysis.stability import Stability, balance, beside_weights, stability
@@ -175,7 +175,7 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Certificate(Shown):
+class Certificate(ShownResult):
     """The claims about a closed loop, with their proofs.
 
     Attributes:
@@ -204,7 +204,7 @@ class Certificate(Shown):
     below: "LowerBound | None" = None
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Norm, bound and lower bound, and the claims that fail."""
         return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
@@ -216,7 +216,7 @@ class Certificate(Shown):
         return texts | {"failures": "; ".join(self.failures)}
 
     @property
-    def drawn(self) -> "tuple[Figure, ...]":
+    def figures(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop over frequency, with bound and lower bound."""
 
         loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
@@ -328,7 +328,7 @@ def certify(
     X: Array | None = None,
     eta: float | None = None,
     lower_bound: KnownBound = None,
-    by_itself: Plant | None = None,
+    plant_without_law: Plant | None = None,
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
 
@@ -340,8 +340,8 @@ def certify(
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower_bound: lower bound on the norm of any controller of the gain's type.
-        by_itself: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the filter
-            states. Default: the plant.
+        plant_without_law: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the
+            filter states. Default: the plant.
 
     Raises:
         InputError: eta or X is out of range, or X has another shape.
@@ -359,7 +359,7 @@ def certify(
     if X is not None:
         check_shape("X", X, plant.A.shape, "a row and a column for each state of the plant")
     loop = plant.closed_loop(G)
-    base = by_itself or plant
+    base = plant_without_law or plant
     loop_stability, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
     own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else loop_stability
     return Certificate(

@@ -76,20 +76,20 @@ def zero_limit(
         inequalities: inequalities of the plant and the transposed plant, if known; None for the latter if it does not count.
     """
     one, other = _sides(plant, inequalities)
-    left, right = (_enclosed(side, side.zeros()) for side in (one, other))
+    left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
     best: tuple[float, Zeros] = (0.0, ((), ()))
     for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
     near = best[1]  # the proof must be reproducible from these approximations alone
-    return _limit(_enclosed(one, near[0]), _enclosed(other, near[1])), near
+    return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
     """Returns a proved lower bound on the norm from the zeros near some points; 0 if none is enclosed."""
-    left, right = (_enclosed(side, points) for side, points in zip(_sides(plant), near, strict=True))
+    left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
         turned = plant.transposed
@@ -182,7 +182,7 @@ class _Pencil(NamedTuple):
 _EMPTY = _Pencil(*[np.zeros((0, 0))] * 4, rate=1.0, unit=1.0)
 
 
-def _enclosed(side: _Pencil, points: Sequence[complex]) -> list[Node]:
+def _enclosed_nodes(side: _Pencil, points: Sequence[complex]) -> list[Node]:
     """Returns the nodes of the zeros near some points that can be enclosed in the right half plane."""
     return [enclosure for point in points if (enclosure := _enclosed_near(side, complex(point) / side.rate)) is not None]
 

@@ -32,7 +32,9 @@ NEGLIGIBLE = 1e-10  # relative; smaller singular values of Gu count as zero in a
 AWAY = 1e-9  # relative distance of a proposal from a pole on the axis
 FURTHER = 10.0  # factor on AWAY if the matrix is still singular there, as around a multiple pole
 ENOUGH = 1e-9  # relative; a proposal is tried if it promises to raise the best proved bound by more
-UNCHANGED = 1e-3  # relative; a norm without control this close to the limit is the limit: far beyond rounding, below any goal
+UNCHANGED_NORM = (
+    1e-3  # relative; a norm without control this close to the limit is the limit: far beyond rounding, below any goal
+)
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
@@ -211,9 +213,9 @@ def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array
     """Returns floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
     where, there = plant, omega
     if plant.dt is not None:
-        from synth.plant.discrete import mapped, mapped_frequency
+        from synth.plant.discrete import continuous_image, mapped_frequency
 
-        where, there = mapped(plant.measured(np.eye(len(plant.A))))[0], mapped_frequency(omega, plant.dt)
+        where, there = continuous_image(plant.measured(np.eye(len(plant.A))))[0], mapped_frequency(omega, plant.dt)
     p = np.linalg.svd(_invariant_part(where, np.array([there]))[0])[0][:, 0]
     try:
         return p, np.linalg.solve(-_states(plant, omega).conj().T, plant.C.T @ p)

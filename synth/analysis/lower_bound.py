@@ -127,7 +127,7 @@ def prove_from_inequalities(
     second = _dual(other, observer) if other is not None and observer is not None else None
     if other is None or second is None:
         return alone
-    f = _joined(first, second, Meeting.of(one, other))
+    f = _best_coupling(first, second, CouplingMatrix.of(one, other))
     share = f * f / (first.t * second.t)
     try:
         p, q, s = float(first.e / first.t), float(share), float(second.e / second.t)
@@ -144,7 +144,7 @@ class _Dual:
     Attributes:
         e, t: numbers of the solution, exact; for an antistable part bounds, e from below and t from above.
         V: V_T in floats; near I on the central path.
-        lost: bound on the error of each entry of V.
+        error_bound: bound on the error of each entry of V.
         T: floats that count as exact, shape (a, a).
         Y: floats near T^-T that count as exact.
     """
@@ -152,7 +152,7 @@ class _Dual:
     e: Fraction
     t: Fraction
     V: Array
-    lost: Array
+    error_bound: Array
     T: Array
     Y: Array
 
@@ -173,7 +173,7 @@ def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | No
         L = _factor((np.eye(len(X)), part.Q, part.b, part.c) if part is not None else side.floats(), T, certificate.eta)
         if not (np.all(np.isfinite(L)) and np.all(np.isfinite(T)) and np.all(np.isfinite(Y))):
             return None
-        return _evaluated(side, L, T, Y) if part is None else _enclosed(part, L, T, Y)
+        return _evaluate_dual(side, L, T, Y) if part is None else _enclose_factors(part, L, T, Y)
     except (np.linalg.LinAlgError, OverflowError):
         return None
 
@@ -190,7 +190,7 @@ def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> A
     return size[:, None] * np.linalg.inv(np.linalg.cholesky(size[:, None] * slack * size)).T
 
 
-def _evaluated(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual | None:
+def _evaluate_dual(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual | None:
     """Returns the exact e, t and V_T of W = L L', or None if V is not proved positive definite or t is zero."""
     (factor, over), (coordinates, under) = integers(L), integers(T)
     low, steep = product(factor.T, product(side.U, coordinates)), product(factor.T, product(side.Q, coordinates))
@@ -202,7 +202,7 @@ def _evaluated(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual
     return _Dual(e, t, V, UNIT * np.abs(V), T, Y) if t > 0 and definiteness(V).proved else None
 
 
-def _enclosed(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | None:
+def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | None:
     """Returns bounds on e, t and V_T of W = L L' for all that is enclosed; None if V is not proved positive definite."""
     _, off_q, off_b, off_c = part.off
     unit, low = SAFE * (len(L) + 4) * UNIT, np.abs(L).T
@@ -223,17 +223,17 @@ def _enclosed(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | Non
 
 
 @dataclass(frozen=True, eq=False)
-class Meeting:
+class CouplingMatrix:
     """J2 J1' between two inequalities, or between their antistable parts.
 
     Attributes:
-        whole, over: integers and their denominator, shape (a2, a1); near it if `lost` is not zero.
-        lost: bound on the error of each entry.
+        whole, over: integers and their denominator, shape (a2, a1); near it if `error_bound` is not zero.
+        error_bound: bound on the error of each entry.
     """
 
     whole: Array
     over: int
-    lost: Array
+    error_bound: Array
 
     @property
     def floats(self) -> Array:
@@ -241,7 +241,7 @@ class Meeting:
         return floats(self.whole, Fraction(1, self.over))
 
     @classmethod
-    def of(cls, one: SynthesisInequality, other: SynthesisInequality) -> "Meeting":
+    def of(cls, one: SynthesisInequality, other: SynthesisInequality) -> "CouplingMatrix":
         """Returns it for the plant's inequality and that of the transposed plant."""
         exact, over = cross_gram(one, other)
         if one.antistable is None and other.antistable is None:
@@ -259,13 +259,13 @@ class Meeting:
         return cls(*integers(P2 @ between @ P1.T), np.maximum(lost, 0.0) + unit * beyond)
 
 
-def _joined(first: _Dual, second: _Dual, between: Meeting) -> Fraction:
+def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
     """Returns f of the best V12 that leaves V provably positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))
     coupling, size = product(product(Y1.T, between.whole.T), Y2), between.over * over1 * over2  # Y1' J1 J2' Y2
-    lost = np.abs(first.Y).T @ between.lost.T @ np.abs(second.Y)
+    lost = np.abs(first.Y).T @ between.error_bound.T @ np.abs(second.Y)
     R1, R2 = np.linalg.cholesky(first.V), np.linalg.cholesky(second.V)
     left, _, right = np.linalg.svd(R1.T @ floats(coupling, Fraction(1, size)) @ R2)
     k = min(left.shape[1], right.shape[0])
@@ -275,7 +275,7 @@ def _joined(first: _Dual, second: _Dual, between: Meeting) -> Fraction:
         K, step = integers(-(1 - shrink) * best)
         off = floats(product(product(near2, K), near1), Fraction(1, step * over1 * over2 * under1 * under2))
         V, rounding = np.block([[second.V, off], [off.T, first.V]]), UNIT * np.abs(off)
-        if definite_beyond(V[None], np.block([[second.lost, rounding], [rounding.T, first.lost]])[None]):
+        if definite_beyond(V[None], np.block([[second.error_bound, rounding], [rounding.T, first.error_bound]])[None]):
             less = Fraction(float(np.trace(np.abs(best) @ lost))) * (1 + Fraction(1, 1000))
             return max(-Fraction(np.trace(product(K, coupling)), step * size) - less, Fraction(0))
     return Fraction(0)

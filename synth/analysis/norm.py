@@ -26,7 +26,7 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import LEFT, MOST_TURNS, added, multiplied, product
+from synth.plant.double_double import LEFT, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
@@ -88,13 +88,13 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     high, low = np.zeros((2, len(omega), n, 2 * r))  # real parts beside imaginary ones
     T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
     for _ in range(MOST_TURNS):
-        by, into = multiplied(turned, _times_j(high)), product(A, high)
-        change, lost = added(into[0], -by[0])
-        residual, rest = added(right, change)
+        by, into = exact_product(turned, _times_j(high)), product(A, high)
+        change, lost = exact_sum(into[0], -by[0])
+        residual, rest = exact_sum(right, change)
         residual += rest + lost + into[1] - by[1] + A @ low + A_low @ high - turned * _times_j(low)
         step = np.linalg.solve(shifted, residual[..., :r] + 1j * residual[..., r:])
-        high, lost = added(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
-        high, low = added(high, low + lost)
+        high, lost = exact_sum(high, np.concatenate([np.real(step), np.imag(step)], axis=-1))
+        high, low = exact_sum(high, low + lost)
         out, lost = product(C, high)
         out = out + lost + C @ low + C_low @ high
         before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
@@ -183,7 +183,7 @@ class Gain:
         """Returns the error bound of `at_double_double` at a frequency; 0 at infinity."""
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
-    def missed(self, at: float) -> float:
+    def grid_error(self, at: float) -> float:
         """Returns the relative excess of a peak between the best frequency and the next one tried, to second order."""
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -191,14 +191,14 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns `missed` measured with twice the digits, if rounding may have moved poles and misled the search.
+        """Returns `grid_error` measured with twice the digits, if rounding may have moved poles and misled the search.
 
         Near a resonance the gain to the power of -2 is a parabola, fitted here through three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
         if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and a peak beyond it does not count
-            return self.missed(at)
+            return self.grid_error(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
         (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
         left, right = (here / below) ** 2, (here / above) ** 2
@@ -251,7 +251,7 @@ class Gain:
 
 
 EXACT = 1e-10  # relative; the search ends if the level set this far above the best gain is empty
-CLIMBED = 2  # number of the highest peaks near poles that are refined before the first level set
+REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level set
 SEEN = 1e-9  # relative; beyond this rounding a norm is computed with twice the digits
 CLEAR = 1.1  # times the gain at infinity: smallest level for which the Hamiltonian is well conditioned
 
@@ -307,15 +307,15 @@ def by_both_routes(gain: Gain) -> Norm:
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
-    ends, missed = ends[np.isfinite(ends)], gain.missed
+    ends, grid_error = ends[np.isfinite(ends)], gain.grid_error
     rounding = gain.rounding(ends)
     if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding is measured
-        rounding, missed = gain.rounded(ends), gain.missed_closely
+        rounding, grid_error = gain.rounded(ends), gain.missed_closely
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.refined_peak(at_sweep), gain.refined_peak(at_level)
         rounding = max(gain.missing(at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
-    return Norm(value, at, level, sweep, rounding / value + missed(at) + gain.last if value else 0.0)
+    return Norm(value, at, level, sweep, rounding / value + grid_error(at) + gain.last if value else 0.0)
 
 
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
@@ -331,7 +331,9 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
         norms.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
     (level, _, _), (sweep, _, _) = norms
     value, at, rounding = max(norms)
-    return Norm(value, discrete.true_frequency(at, dt), level, sweep, rounding + gain.missed(at) + gain.last if value else 0.0)
+    return Norm(
+        value, discrete.true_frequency(at, dt), level, sweep, rounding + gain.grid_error(at) + gain.last if value else 0.0
+    )
 
 
 def gain_at(system: Plant, omega: float) -> float:
@@ -358,7 +360,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
         return np.inf, gain.on_axis
     omega = gain.within(np.concatenate([gain.edges, np.abs(gain.poles), np.abs(np.imag(gain.poles))]))
     width = np.concatenate([0.0 * gain.edges, *[np.abs(np.real(gain.poles))] * 2])
-    highest = np.argsort(gain.about(omega))[-CLIMBED:]
+    highest = np.argsort(gain.about(omega))[-REFINED_PEAKS:]
     best, at = gain.or_at_infinity(*gain.climb(omega[highest], width[highest]))
     if best == 0.0:
         return 0.0, 0.0
@@ -367,7 +369,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
         gains = gain.about(proposed)
         if gain.at(proposed[[gains.argmax()]])[0] <= best * (1 + EXACT):
             break
-        highest = gains.argsort()[-CLIMBED:]
+        highest = gains.argsort()[-REFINED_PEAKS:]
         best, at = gain.climb(proposed[highest], apart[highest])
     return best, at
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.extensions import FEATURES
 from models.common.printed import exactly
 from synth.analysis.certificate import Certificate, eta_of
@@ -78,7 +78,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
-            raise InputError(f"unknown key {key!r} in a certificate; known: {listing(CLAIMS + PROOFS)}")
+            raise InputError(f"unknown key {key!r} in a certificate; known: {list_names(CLAIMS + PROOFS)}")
         if record[key] is None:
             raise InputError(f"{key} in a certificate is null; delete this key, or save the controller again")
     n = len(plant.A)
@@ -88,7 +88,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
     if X is not None:
         if not np.all(np.diagonal(X) >= SMALLEST):
             raise InputError(
-                f"X = {quoted(record['X'])} in a certificate is not positive definite, because a diagonal entry is below "
+                f"X = {short_repr(record['X'])} in a certificate is not positive definite, because a diagonal entry is below "
                 f"{SMALLEST:g}; save the controller again"
             )
         size = np.sqrt(np.abs(np.diagonal(X)))
@@ -96,7 +96,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
             raise InputError("X in a certificate is not symmetric; save the controller again")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
-    lower_bound = _proved(record, plant)
+    lower_bound = _prove_bound(record, plant)
     return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
 
 
@@ -109,14 +109,14 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
     level, proof = _number(record, SAMPLED_BOUND), record.get(SAMPLED_PROOF, {})
     assert level is not None, "it is claimed"
     if not isinstance(proof, Mapping) or any(key not in LOWER_PROOFS for key in proof):
-        raise InputError(f"{SAMPLED_PROOF} = {quoted(proof)} in a certificate is not a table of {listing(LOWER_PROOFS)}")
+        raise InputError(f"{SAMPLED_PROOF} = {short_repr(proof)} in a certificate is not a table of {list_names(LOWER_PROOFS)}")
     plant = problem.at(level)
     if plant is None:
         return SampledBound(level, LowerBound(0.0), inside=True)
-    return SampledBound(level, _proved(proof, plant))
+    return SampledBound(level, _prove_bound(proof, plant))
 
 
-def _proved(record: Mapping[str, Any], plant: Plant) -> LowerBound:
+def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
     """Returns the lower bound that the proofs of a record prove; arguments and errors as for `read_proof`."""
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
@@ -167,7 +167,7 @@ def _number(record: Mapping[str, Any], key: str) -> float | None:
     zero = key in MAY_BE_ZERO and number and value == 0
     if not number or not (zero or SMALLEST <= value <= LARGEST):
         raise InputError(
-            f"{key} = {quoted(value)} in a certificate must be from {SMALLEST:g} to {LARGEST:g}; save the controller again"
+            f"{key} = {short_repr(value)} in a certificate must be from {SMALLEST:g} to {LARGEST:g}; save the controller again"
         )
     return float(value)
 
@@ -183,7 +183,7 @@ def _matrix(record: Mapping[str, Any], key: str, shape: tuple[int, int] | None =
     if matrix.ndim != 2 or not np.all(np.abs(matrix) <= LARGEST) or (shape is not None and matrix.shape != shape):
         expected = f" of shape {shape}" if shape else ""
         raise InputError(
-            f"{key} = {quoted(value)} in a certificate is not a matrix{expected} of finite numbers up to {LARGEST:g}"
+            f"{key} = {short_repr(value)} in a certificate is not a matrix{expected} of finite numbers up to {LARGEST:g}"
         )
     return matrix
 
@@ -199,8 +199,8 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
         fits, of_z, of_y = False, (), ()
     if not fits:
         raise InputError(
-            f"zeros = {quoted(value)} in a certificate is not two lists of [real, imaginary] pairs of finite numbers; save the "
-            "controller again"
+            f"zeros = {short_repr(value)} in a certificate is not two lists of [real, imaginary] pairs of finite numbers; save "
+            "the controller again"
         )
     return of_z, of_y
 
@@ -213,5 +213,7 @@ def _dual_certificate(record: Mapping[str, Any], key: str) -> DualCertificate | 
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(f"{key} = {quoted(value)} in a certificate must have a square X and an eta; save the controller again")
+        raise InputError(
+            f"{key} = {short_repr(value)} in a certificate must have a square X and an eta; save the controller again"
+        )
     return DualCertificate(X, eta)

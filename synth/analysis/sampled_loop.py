@@ -31,7 +31,7 @@ from typing import Annotated
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Matrix, NotNegative, PositiveTime, check_shape, validated
+from models.common.checks import AT_LEAST_ONE, CheckedFields, Matrix, NotNegative, PositiveTime, check_arguments, check_shape
 from synth.analysis.stability import balance
 from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
@@ -42,7 +42,7 @@ TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
-class Lifted:
+class LiftedPlant:
     """The discrete plant of a level; its states are the plant's and the held inputs.
 
     Attributes:
@@ -70,7 +70,7 @@ class Lifted:
         """A root of Cd' Cd, shape (n + k, n + k)."""
         return _root(self.CdCd).T
 
-    def followed_by(self, later: "Lifted") -> "Lifted | None":
+    def followed_by(self, later: "LiftedPlant") -> "LiftedPlant | None":
         """Returns this interval and the next as one, or None if the gain within it is the level or more."""
         product = self.BdBd @ later.CdCd
         # No eigenvalue is larger than the norm, which costs little.
@@ -81,12 +81,12 @@ class Lifted:
         first, second = self.Ad, later.Ad
         increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
         cost = later.CdCd + later.CdCd @ between
-        return Lifted(
+        return LiftedPlant(
             increment, later.BdBd + second @ _symmetric(reached) @ second.T, self.CdCd + first.T @ _symmetric(cost) @ first
         )
 
 
-def lifted(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) -> Lifted | None:
+def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) -> LiftedPlant | None:
     """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
 
     Args:
@@ -94,7 +94,7 @@ def lifted(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) ->
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
-    whole: Lifted | None = None
+    whole: LiftedPlant | None = None
     for duration, acting in pieces:
         piece = _piece(plant, duration, acting, gamma)
         if piece is None:
@@ -114,7 +114,7 @@ def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
     return A, Bw, np.hstack([plant.C, plant.D @ acting])
 
 
-def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted | None:
+def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> LiftedPlant | None:
     """Returns the discrete plant over one piece of the period, by doubling a short time."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
@@ -132,7 +132,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
     for term in range(TERMS, 1, -1):
         change = step + step @ change / term
     inverse = np.linalg.inv(np.eye(n) + change[n:, n:])
-    whole: Lifted | None = Lifted(
+    whole: LiftedPlant | None = LiftedPlant(
         -(inverse @ change[n:, n:]).T, _symmetric(change[:n, n:] @ inverse), _symmetric(-inverse @ change[n:, :n])
     )
     for _ in range(doublings):
@@ -141,7 +141,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
         if whole is None:
             return None
     assert whole is not None
-    return Lifted(
+    return LiftedPlant(
         whole.increment * scale[:, None] / scale, whole.BdBd * np.outer(scale, scale), whole.CdCd / np.outer(scale, scale)
     )
 
@@ -173,7 +173,7 @@ def _root(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class SampledLoop(Checked):
+class SampledLoop(CheckedFields):
     """A plant with a discrete controller.
 
     With the plant's states x at a sample, the controller's states s, and p = [x; s],
@@ -211,7 +211,7 @@ class SampledLoop(Checked):
             check_shape("noise", self.noise, expected, f"one row for each of the {m} inputs and the {k} rows of A_register")
 
     @classmethod
-    @validated
+    @check_arguments
     def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
         """Returns the loop of a gain, u = K y at every sample.
 
@@ -278,7 +278,7 @@ class SampledLoop(Checked):
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
             # exp(A t) - I is the integral of exp(A s) A, computed as for a held input A: without cancellation.
-            piece = StateSpace(A, A, A[:0], A[:0]).held(duration)[1]
+            piece = StateSpace(A, A, A[:0], A[:0]).hold_matrices(duration)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
         return total
@@ -299,15 +299,15 @@ class SampledLoop(Checked):
         return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
 
     @property
-    def heard(self) -> tuple[Array, Array]:
+    def noise_gain(self) -> tuple[Array, Array]:
         """From the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j); j may be 0."""
         m, k = len(self.K), len(self.A_register)
         noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
         return noise[:m], noise[m:]
 
-    def entering(self) -> tuple[Array, Array]:
+    def noise_to_inputs(self) -> tuple[Array, Array]:
         """Returns the maps of `register` from the noise, instead of the states, shapes (n + i, j) and (N - n, j)."""
-        computed, kept = self.heard
+        computed, kept = self.noise_gain
         forces = [np.zeros_like(computed) if piece.late else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
         waiting = np.zeros((max(self.late - 1, 0) * len(computed), computed.shape[1]))
@@ -323,7 +323,7 @@ class SampledLoop(Checked):
         Returns:
             Shapes (F, n + i, j) and (F, k, j).
         """
-        (computed, kept), turned = self.heard, np.exp(1j * angles)
+        (computed, kept), turned = self.noise_gain, np.exp(1j * angles)
         forces = [computed * (turned**-piece.late)[:, None, None] for piece in self.pieces]
         still = np.zeros((len(angles), len(self.plant.A), computed.shape[1]))
         return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
@@ -403,7 +403,7 @@ class SampledDataProblem:
         return np.hstack([self.plant.Cy, past])
 
     @property
-    def at_once(self) -> "SampledDataProblem":
+    def without_delay(self) -> "SampledDataProblem":
         """The same with forces that act at the sample, and in nothing that is measured."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
@@ -431,7 +431,7 @@ class SampledDataProblem:
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)
         intervals = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
-        lifted_loop = lifted(self.plant, intervals, gamma)
+        lifted_loop = lift_plant(self.plant, intervals, gamma)
         if lifted_loop is None:
             return None
         start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]

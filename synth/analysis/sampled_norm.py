@@ -22,7 +22,7 @@ from models.common.arrays import Array
 from models.common.checks import Positive
 from models.common.threads import one_thread
 from synth.analysis.norm import largest_singular_values, level_crossings
-from synth.analysis.sampled_loop import Lifted, SampledLoop, in_own_units, lifted, with_inputs
+from synth.analysis.sampled_loop import LiftedPlant, SampledLoop, in_own_units, lift_plant, with_inputs
 from synth.analysis.specification import ABOVE, BELOW, SampledNorm
 from synth.analysis.stability import balance, sampled_growth
 from synth.plant.generalized import Plant
@@ -167,7 +167,7 @@ def _poles(loop: SampledLoop) -> Array | None:
 class _Level:
     """A loop closed around the discrete plant of a level."""
 
-    def __init__(self, loop: SampledLoop, plant: Lifted, level: float) -> None:
+    def __init__(self, loop: SampledLoop, plant: LiftedPlant, level: float) -> None:
         self.loop, self.plant, self.level = loop, plant, level
         self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
 
@@ -192,7 +192,7 @@ class _Level:
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
         A, scale = balance(2 / T * change @ inverse)
-        entered, kept = (part / self.level for part in self.loop.entering())
+        entered, kept = (part / self.level for part in self.loop.noise_to_inputs())
         moved = np.vstack([self.plant.increment[: len(self.Bd)] @ entered, kept])
         B, C = np.hstack([inverse[:, : len(self.Bd)] @ self.Bd, inverse @ moved]), self.Cd @ start
         direct = np.hstack([np.zeros((len(C), self.Bd.shape[1])), self.Cd @ entered])
@@ -240,7 +240,7 @@ class _Search:
         raise ArithmeticError("the search for the norm of the sampled-data loop did not converge")
 
     def _at(self, level: float) -> _Level | None:
-        lifted_loop = lifted(self.loop.plant, self.loop.acting, level)
+        lifted_loop = lift_plant(self.loop.plant, self.loop.acting, level)
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:

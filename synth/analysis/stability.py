@@ -269,7 +269,7 @@ def beside_weights(plant: Plant, A: Array) -> Array:
 
 
 ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero to rounding
-UNREACHED = 1e-8  # relative; an input with a smaller effect on a mode does not control it
+UNCONTROLLABLE = 1e-8  # relative; an input with a smaller effect on a mode does not control it
 
 
 def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
@@ -293,7 +293,7 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
         pencil = np.hstack([balanced - pole * np.eye(len(A)), inputs * (np.linalg.norm(balanced, 2) or 1.0)])
         left, sizes, _ = np.linalg.svd(pencil)
         known = any(abs(given - other) <= 1e-6 * max(abs(given), 1e-300) for other, _ in modes)
-        if sizes[-1] <= UNREACHED * sizes[0] and not known:
+        if sizes[-1] <= UNCONTROLLABLE * sizes[0] and not known:
             modes.append((complex(given), left[:, -1].conj() / scale))
     return modes
 
@@ -365,7 +365,7 @@ def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
         shifted = balanced - pole * np.eye(len(A))
         simple = np.all(np.abs(np.delete(poles, i) - pole) > 1e-6 * size)
         pencils = np.hstack([shifted, inputs]), np.vstack([shifted, outputs])
-        if simple and min(np.linalg.svd(one, compute_uv=False)[-1] for one in pencils) <= UNREACHED * size:
+        if simple and min(np.linalg.svd(one, compute_uv=False)[-1] for one in pencils) <= UNCONTROLLABLE * size:
             fixed.append(float(pole.real))
     return fixed
 

@@ -114,7 +114,7 @@ class SynthesisInequality:
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
-        F = np.hstack([(_closure if plant.dt is None else _emptied)(states, inputs), _hidden(plant, states)])
+        F = np.hstack([(_closure if plant.dt is None else _zeroed_states)(states, inputs), _hidden_states(plant, states)])
         F = F[:, Nullspace(F).independent]
         steered = Nullspace(F)
         J, _ = without_factors(steered.complete(identity(len(steered.free))))
@@ -161,7 +161,7 @@ def _closure(states: Array, inputs: Array) -> Array:
         F = wider
 
 
-def _emptied(states: Array, inputs: Array) -> Array:
+def _zeroed_states(states: Array, inputs: Array) -> Array:
     """Returns all f that inputs bring to zero in some samples, z being zero meanwhile: columns, shape (n, f)."""
     n = states.shape[1]
     F = inputs[:n, :0]
@@ -175,7 +175,7 @@ def _emptied(states: Array, inputs: Array) -> Array:
         F = wider
 
 
-def _hidden(plant: Plant, states: Array) -> Array:
+def _hidden_states(plant: Plant, states: Array) -> Array:
     """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
 
     A wrong decision here makes the bound weaker, but not false.

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.command import chosen
-from models.common.errors import InputError, listing
+from models.common.command import chosen_controllers
+from models.common.errors import InputError, list_names
 from models.vehicle.vehicle import ControllerEntry
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.specification import Specification
@@ -30,11 +30,11 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
         raise InputError(f"{vehicle.source} contains no gain or law to check; design a controller and save it with --save")
     for name in names or ():
         if name in vehicle.controller_names and name not in gains:
-            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {listing(gains)}")
-    return [_checked(designer, vehicle.controllers[name]) for name in chosen(gains, names, gains)]
+            raise InputError(f"--check: {name!r} has no gain or law in {vehicle.source}; give one of {list_names(gains)}")
+    return [_check_row(designer, vehicle.controllers[name]) for name in chosen_controllers(gains, names, gains)]
 
 
-def _checked(designer: Designer, entry: ControllerEntry) -> Row:
+def _check_row(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.law is not None
     certificate, failures = designer.checked(entry)
     kept: tuple[Specification, ...] = ()
@@ -59,16 +59,16 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     return Row(entry.name, controller, said, failures, sampled=norm)
 
 
-UNPROVED = "no bound is proved, because rounding leaves no X that satisfies LMI (20) near the norm"
+UNPROVED_BOUND = "no bound is proved, because rounding leaves no X that satisfies LMI (20) near the norm"
 
 
-def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
+def prove_controller(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
     """Returns a controller with a bound just above its norm, and a note; unchanged if it has a bound, or no loop to prove."""
     certificate = controller.certificate
     if certificate.bound is not None or not np.isfinite(certificate.norm.value) or not controller.measured:
         return controller, ()
     judged = designer.problem(controller.measured, controller.hardware).judged(controller.law)
-    certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)
+    certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.plant_without_law)
     if certified.bound is None:
-        return controller, (UNPROVED,)
+        return controller, (UNPROVED_BOUND,)
     return replace(controller, certificate=certified), ("the law is from the vehicle file, and its bound is proved here",)

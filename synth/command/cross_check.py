@@ -31,7 +31,7 @@ class CrossCheck:
         optimum_gap: relative distance of our gain from that optimum.
         theirs: the optimal gamma by Clarabel; None if it failed.
         attained: level that is attained with our gain fixed; None if that solution failed.
-        said: the solver's status if it did not solve both problems, or empty.
+        solver_status: the solver's status if it did not solve both problems, or empty.
     """
 
     problem: str
@@ -39,7 +39,7 @@ class CrossCheck:
     optimum_gap: float
     theirs: float | None
     attained: float | None
-    said: str
+    solver_status: str
 
     @property
     def apart(self) -> float | None:
@@ -70,10 +70,10 @@ class CrossCheck:
     def text(self) -> str:
         """The result in words."""
         if self.theirs is None:
-            return f"no cross-check: {self.said}"
+            return f"no cross-check: {self.solver_status}"
         text = f"Clarabel's gamma for {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} from this design"
         attained = f"the designed gain attains it within {SHARE.digits(abs(self.above))}" if self.above is not None else ""
-        return "; ".join(filter(None, (text, attained, self.said)))
+        return "; ".join(filter(None, (text, attained, self.solver_status)))
 
 
 SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
@@ -99,8 +99,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
         return None
-    posed = designer.problem(controller.measured, controller.hardware).plant
-    _, few, kept = independently_measured(shared.plant.measured(posed.Cy))
+    plant_problem = designer.problem(controller.measured, controller.hardware).plant
+    _, few, kept = independently_measured(shared.plant.measured(plant_problem.Cy))
     units = own_units(few, measured=True)
     rows, measured = units.rows(few.Cy)
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]

@@ -11,14 +11,14 @@ import numpy as np
 
 from models.common.command import print_json
 from models.common.errors import InputError
-from models.common.printed import Stages, as_name, by_text, command, pasted, percent, say, titled
+from models.common.printed import Stages, as_name, by_text, command, percent, say, shell_line, title_lines
 from models.document.document import Block, Document, Statement, Table, notes
 from models.document.field import Field, Record
-from models.document.outputs import check_outputs, written, written_lines
+from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, answers, describe, details, proofs, record, undamped
+from synth.command.table import Row, answers, describe, details, lacks_damping, proofs, record
 from synth.controller.law_margins import direct_feedback, law_margins, warnings
 from synth.controller.problem import measurements
 from synth.controller.report import NORM, failures_of_sampled_loop, norm_or_failure, notes_on_sampled_loop
@@ -31,7 +31,7 @@ from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride
 
 FREE = "limits for every controller"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
-ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer replaces gains and rides
+ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer replaces gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
 RIDE = Field[Row]("expected ride", lambda row: row.ride, ".3g", key="expected_ride", unit="m/s2")
@@ -49,7 +49,7 @@ class Designs:
         plant: generalized plant of that bound.
         flat: gains that may move at little cost, see `_flatness`.
         passive: expected ride of the passive suspension [m/s2], or None.
-        felt: expected ride by point and controller, of a vehicle with a person; those with a person first.
+        expected_rides: expected ride by point and controller, of a vehicle with a person; those with a person first.
         without: norm without control; infinite if the vehicle is not damped.
     """
 
@@ -59,7 +59,7 @@ class Designs:
     plant: Plant
     flat: dict[str, list[float | None]]
     passive: float | None
-    felt: Mapping[str, Mapping[str, float | None]]
+    expected_rides: Mapping[str, Mapping[str, float | None]]
     without: float
 
 
@@ -76,14 +76,14 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.save:
         _check_save(vehicle, names, options)
     designs = designs_of(vehicle, names, options)
-    outputs = {"saved": options.save} | ({"picture": _drawn(designs, options.picture)} if options.picture else {})
+    outputs = {"saved": options.save} | ({"picture": _draw_responses(designs, options.picture)} if options.picture else {})
     if options.save:
         from synth.command.save import save
 
         bounds = {row.name: row.sampled_below for row in designs.rows}
         save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
     if options.json:
-        print_json({**RECORD(designs), **written(outputs)})
+        print_json({**RECORD(designs), **output_paths(outputs)})
     else:
         say(answer_lines(designs, options, outputs))
     return 1 if any(row.failures for row in designs.rows) else 0
@@ -99,12 +99,12 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
 
         rows = check(designer, options.controller)
     else:
-        rows = [_designed(designer, name, options, stage, alone=len(names) == 1) for name in names]
+        rows = [_design_row(designer, name, options, stage, alone=len(names) == 1) for name in names]
     if options.cross_check and not any(row.witness or row.controller is None for row in rows):
         raise InputError("--cross-check needs a design by LMI (22) or (25) without filters; give one, or omit --cross-check")
     stage(FREE)
     flat = {} if options.check else _flatness(designer, rows)
-    rows = tuple(_finished(vehicle, row, options.fragility) for row in rows)
+    rows = tuple(_finish_row(vehicle, row, options.fragility) for row in rows)
     passive = designer.design("passive")
     limit = designer.beyond_control
     where, loops = vehicle.ride_points, {row.name: row.controller for row in rows if row.controller is not None}
@@ -115,7 +115,7 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
     return Designs(vehicle, rows, limit, designer.plant, flat, expected_ride(vehicle, passive), felt, without)
 
 
-def _designed(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
+def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
     """Returns the row of a designed controller, with its norm as implemented; or of the failure, if there are others."""
     stage(f"controller {name}")
     try:
@@ -146,11 +146,11 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
     said: tuple[str, ...] = ()
     witness = None
     if options.prove:
-        from synth.command.check import proved
+        from synth.command.check import prove_controller
 
-        controller, said = proved(designer, controller)
+        controller, said = prove_controller(designer, controller)
     # The vehicle without control need not be damped.
-    excused = controller.certificate.stability.words if undamped(controller) else ""
+    excused = controller.certificate.stability.words if lacks_damping(controller) else ""
     failures = tuple(each for each in controller.failures if each != excused)
     if options.cross_check:
         from synth.command.cross_check import cross_check
@@ -177,7 +177,7 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
     return Row(name, judged, (*said, *judged.remarks, refined.traded), judged.failures, answers=(traded,), refined=True)
 
 
-def _finished(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
+def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
     """Returns a row with the expected ride, the margins of the law, and the tolerated errors if requested."""
     controller = row.controller
     if controller is None:
@@ -220,7 +220,7 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
     check_save(options.save, vehicle, [name for name in new if name not in entries or not entries[name].request.preview] or new)
 
 
-def _drawn(designs: Designs, path: Path) -> Path | None:
+def _draw_responses(designs: Designs, path: Path) -> Path | None:
     """Draws the responses of all stable loops. Returns the path, or None without a stable loop."""
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
@@ -235,7 +235,7 @@ def _expected_ride(designs: Designs) -> dict[str, Any]:
     """Returns the conditions of the expected ride for JSON, and that of the passive vehicle."""
     ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
     ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
-    return ride | ({"points": designs.felt} if designs.felt else {})
+    return ride | ({"points": designs.expected_rides} if designs.expected_rides else {})
 
 
 RECORD = Record[Designs](
@@ -257,7 +257,7 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
         files += left_out_lines([row.name for row in designs.rows if row.controller is not None and row.controller.preview])
     if options.picture and not outputs["picture"]:
         files += ["no picture is written, because no loop is stable"]
-    title, end = titled(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
+    title, end = title_lines(vehicle.kind.name, vehicle.source), ["", verdict(designs.rows).text]
     lines = screen_lines(document(designs, options), full, [*title, *files, *end])
     return [*title, *lines, *(_refine_command(designs.rows, options) if full else []), *files, *end]
 
@@ -265,7 +265,7 @@ def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Pat
 def document(designs: Designs, options: Namespace) -> Document:
     """Returns the answer as a document."""
     vehicle, rows = designs.vehicle, designs.rows
-    asked = bool(options.given & ASKED)
+    asked = bool(options.given & ANSWER_OPTIONS)
     margins = {row.name: row.margins for row in rows if row.margins is not None}
     felt = notes(*direct_feedback(margins), detail="brief")
     blocks: list[Block] = [*_worse(designs), *felt, *(details(vehicle, row) for row in rows)]
@@ -305,7 +305,7 @@ def _rides(designs: Designs) -> list[Statement]:
     """Returns the expected ride of every controller, at each point of a vehicle with a person; see `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
     without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
-    return [one for at, known in (designs.felt or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
+    return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
         *notes(*without)
     ]
 
@@ -336,8 +336,8 @@ def _without_ride(designs: Designs) -> dict[str, str]:
 
 def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:
     """Returns the command, after an empty line, that lowers these norms; empty if there are none."""
-    named = [f"--controller={row.name}" for row in rows if row.worth and not options.given & ASKED]
-    words = [pasted([word]) for word in (f"--vehicle={options.vehicle}", *named, "--refine")]
+    named = [f"--controller={row.name}" for row in rows if row.worth and not options.given & ANSWER_OPTIONS]
+    words = [shell_line([word]) for word in (f"--vehicle={options.vehicle}", *named, "--refine")]
     return ["", "To refine:", *command(["python -m synth", *words])] if named else []
 
 
@@ -370,7 +370,7 @@ def verdict(rows: Sequence[Row]) -> Statement:
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text
-    judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
+    judged = [row for row in rows if row.controller is not None and not lacks_damping(row.controller)]
     lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
     text += f"; UNSTABLE in the sampled-data loop: {', '.join(lost)}" if lost else ""
     grow = [row.name for row in rows if row.margins is not None and row.margins.growth]

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.command import ALL, chosen, one_chosen, print_json
-from models.common.errors import InputError, listing
+from models.common.command import ALL, chosen_controllers, one_chosen, print_json
+from models.common.errors import InputError, list_names
 from models.common.files import made_folder, together, whole_file
 from models.common.printed import Whole, pasted_path, say, show
 from models.laws.python_law import sha256
@@ -104,10 +104,12 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     own = [name for name in linear if name in vehicle.controllers]
     left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].request.preview]
     held = [name for name in own if name not in left_out] or own
-    names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
+    names = (
+        held if options.controller in (None, [ALL]) else chosen_controllers(vehicle.controller_names, options.controller, held)
+    )
     other = [name for name in names if name not in linear]
     if other:
-        raise InputError(f"controller {other[0]!r} has no matrices for a MATLAB file; give a linear one: {listing(linear)}")
+        raise InputError(f"controller {other[0]!r} has no matrices for a MATLAB file; give a linear one: {list_names(linear)}")
     if not names:
         raise InputError(f"{vehicle.source} contains no linear controller to write to a MATLAB file; add one to [controllers]")
     designer = Designer(vehicle, search=False)
@@ -158,7 +160,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         *(f"  out  {one.name} [{one.unit}]" for one in model.outputs),
         "",
         f"communication step size: {'any' if model.period is None else f'{model.period:g} s, the period of the discrete law'}",
-        f"binaries: {listing(made.platforms)}" if made.platforms else "",
+        f"binaries: {list_names(made.platforms)}" if made.platforms else "",
         made.missing,
     ]
 

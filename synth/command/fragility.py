@@ -36,10 +36,10 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
     """Computes the fragility of a controller. Returns None without a gain or a stable loop."""
     if not controller.law.acts or not controller.certificate.stable:
         return None
-    posed, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
-    norms, gain = posed.of_heights is None, controller.law.continuous()
-    found = errors.fragility(scaled_gain(posed.plant, gain), norms)
-    rounding = errors.rounding(controller.law, posed.closed_loop, posed.plant) if norms else {}
+    problem, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
+    norms, gain = problem.of_heights is None, controller.law.continuous()
+    found = errors.fragility(scaled_gain(problem.plant, gain), norms)
+    rounding = errors.rounding(controller.law, problem.closed_loop, problem.plant) if norms else {}
     lines = [errors.fragility_text(found, *names), *filter(None, [errors.rounding_text(found.norm, rounding)])]
     return FragilityReport(found, rounding, lines, errors.record(found, rounding, *names))
 

@@ -11,7 +11,7 @@ from synth.analysis.norm import largest_singular_values
 from synth.command.table import Row
 from synth.controller.report import NORM
 
-SHOWN = (0.3, 30.0)  # Hz; a band that lies further out widens it
+SHOWN_BAND = (0.3, 30.0)  # Hz; a band that lies further out widens it
 POINTS = 1500
 ROOM = 1.5  # times a band that is shown whole
 
@@ -23,7 +23,7 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         return None
     bands = dict.fromkeys(norm.band for row in stable for norm in _norms(vehicle, row))
     ends = [end for band in bands for end in band if 0 < end < np.inf]
-    low, high = min([SHOWN[0], *(end / ROOM for end in ends)]), max([SHOWN[1], *(end * ROOM for end in ends)])
+    low, high = min([SHOWN_BAND[0], *(end / ROOM for end in ends)]), max([SHOWN_BAND[1], *(end * ROOM for end in ends)])
     hertz, style, curves = np.geomspace(low, high, POINTS), styles(tuple(row.name for row in stable)), []
     for row in stable:
         assert row.controller is not None

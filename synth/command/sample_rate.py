@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from models.common.command import print_json
 from models.common.errors import InputError
-from models.common.printed import Stages, say, titled
-from models.document.outputs import check_outputs, written, written_lines
+from models.common.printed import Stages, say, title_lines
+from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.picture import write_picture
 from models.document.text import screen_lines
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
@@ -66,13 +66,13 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.json:
         rows = [RECORD(one) for one in chosen]
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
-        print_json({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)})
+        print_json({"vehicle": vehicle.kind.name, "controllers": rows, **output_paths(outputs)})
     else:
         document = describe(chosen, built_words(replace(vehicle, implementation=Implementation())))
         wrong = [f"controller {name} NOT DESIGNED: {reason}" for name, reason in undesigned.items()]
         wrong += [f"DOES NOT HOLD: {text}" for text in failed]
         holds = f"every claim holds for {len(chosen)} controller{'s' * (len(chosen) != 1)}"
         end = [*written_lines(outputs), "", *(wrong or [holds])]
-        title = titled(vehicle.kind.name, vehicle.source)
+        title = title_lines(vehicle.kind.name, vehicle.source)
         say([*title, *screen_lines(replace(document, title=""), options.verbose, [*title, *end]), *end])
     return 1 if failed or undesigned else 0

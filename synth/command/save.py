@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.files import whole_file
 from models.common.toml_edit import section_lines
 from models.document.outputs import CHECKED_BY
@@ -74,7 +74,7 @@ def saved_text(
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that names controllers with a preview, which are not in a file; none without such controllers."""
-    return [f"  left out: {listing(names)}, because this file cannot contain a preview of the road"] if names else []
+    return [f"  left out: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:

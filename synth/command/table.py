@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.common.errors import listing
+from models.common.errors import list_names
 from models.common.printed import WIDTH, as_name, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
 from models.document.field import OMITTED, Field, Record, if_any
@@ -17,7 +17,7 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, Definiteness, LmiProof
-from synth.analysis.invariant_point import UNCHANGED, is_pole, without_control
+from synth.analysis.invariant_point import UNCHANGED_NORM, is_pole, without_control
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
@@ -31,11 +31,11 @@ from synth.controller.report import (
     GROWTH,
     LOWER_BOUND,
     NORM,
+    NORM_AS_IMPLEMENTED,
     PEAK,
     PROVED_NORM,
-    REACHED,
+    REACHED_GAIN,
     SAME,
-    SAMPLED,
     SLOWEST_POLE,
     built_words,
     filter_lines,
@@ -111,7 +111,7 @@ class Row:
         return self.sampled.value / self.sampled_below.level - 1
 
 
-def _decided(row: Row, field: Field[Certificate]) -> Any:
+def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
     """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
     if row.certificate is None:
         return "NOT DESIGNED"
@@ -122,11 +122,11 @@ def _decided(row: Row, field: Field[Certificate]) -> Any:
 CERTIFICATE = attrgetter("certificate")  # of a row
 CONTROLLER = Field[Row]("controller", lambda row: row.name)
 MEASURES = Field[Row]("measures", lambda row: row.measures.replace("_", " "), detail="full")
-NORM_OR_VERDICT = Field[Row](NORM.label, lambda row: _decided(row, NORM), NORM.form)
+NORM_OR_VERDICT = Field[Row](NORM.label, lambda row: _of_stable_loop(row, NORM), NORM.form)
 POLE_OR_VERDICT = Field[Row](
-    SLOWEST_POLE.label, lambda row: _decided(row, SLOWEST_POLE), SLOWEST_POLE.form, unit=SLOWEST_POLE.unit, detail="full"
+    SLOWEST_POLE.label, lambda row: _of_stable_loop(row, SLOWEST_POLE), SLOWEST_POLE.form, unit=SLOWEST_POLE.unit, detail="full"
 )
-BUILT: Field[Row] = SAMPLED.of(attrgetter("sampled"))
+BUILT_NORM: Field[Row] = NORM_AS_IMPLEMENTED.of(attrgetter("sampled"))
 LEVEL = Field[Row](
     "its lower bound", lambda row: row.sampled_below.level if row.sampled_below is not None else None, LOWER_BOUND.form
 )
@@ -150,7 +150,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
     if bounded:  # a terminal has no room for them beside the lower bound of the sampled loop
         others = [replace(field, detail="full") for field in others]
-    sampled = [*[BUILT] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
+    sampled = [*[BUILT_NORM] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
     fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
     said = [(row.name, text) for row in rows if row.controller is not None for text in judged_lines(row.controller)]
     blocks: list[Block] = [Statement(limit_text(limit, plant), detail="brief")]
@@ -161,7 +161,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
     if not (apart or vehicle.implementation.undelayed):
         text = "Column 'sampled' is the norm of the sampled-data loop, including the motion between samples"
         blocks += notes(f"{text}: {built_words(vehicle)}.")
-    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle), *_unlimited(vehicle, controllers))
+    blocks += notes(*filter_lines(vehicle), *twist_lines(vehicle), *_unlimited_forces(vehicle, controllers))
     blocks += statements([(one.name, text) for one in controllers for text in study_notes(vehicle, one)], "brief")
     blocks += statements([one for one in said if one[1] == FEEDBACK_ALONE])
     blocks += statements([one for one in said if one[1] != FEEDBACK_ALONE], detail="full")
@@ -173,11 +173,11 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
     return Document("Designs and certificates", tuple(blocks))
 
 
-def _unlimited(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
+def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Returns a note on forces without a weight, which nothing keeps small, if a controller is designed."""
     given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
     free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
-    text = f"No weight limits {listing(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
+    text = f"No weight limits {list_names(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
     return [text.format(free[0])] if free and not given.issuperset(one.name for one in controllers) else []
 
 
@@ -192,7 +192,7 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
     if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
         return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
     free = without_control(plant, limit.limit_at)
-    if free <= limit.gamma * (1 + UNCHANGED):
+    if free <= limit.gamma * (1 + UNCHANGED_NORM):
         return f"{lowest}: no force changes z at {where}."
     return f"{lowest}, because no control lowers z further at {where}. Without control z is {LOWER_BOUND.digits(free)}."
 
@@ -216,9 +216,9 @@ def _difference(row: Row) -> str:
 NORMS: tuple[Field[Row], ...] = (
     CONTROLLER,
     replace(NORM_OR_VERDICT, label="norm, ideal loop"),
-    replace(BUILT, label="norm, as built"),
+    replace(BUILT_NORM, label="norm, as built"),
     Field("that is", _difference),
-    REACHED.of(lambda row: row.sampled),
+    REACHED_GAIN.of(lambda row: row.sampled),
 )
 
 
@@ -237,7 +237,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
     said = []
     for row in shown:
         said += [(row.name, text) for text in _first(row, gains and not promised) if gains or row.refined]
-    said += [(row.name, text) for row in shown for text in _requested(row, checked)]
+    said += [(row.name, text) for row in shown for text in _requested_notes(row, checked)]
     failed = [
         Statement(f"{as_name(row.name)} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {text}", "fails", "brief")
         for row in rows
@@ -250,7 +250,7 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
     """Yields the first specification of a controller, its short designed gain, or the natural frequencies without damping."""
     controller = row.controller
     assert controller is not None
-    if undamped(controller):
+    if lacks_damping(controller):
         damped = [(pole, f" (damping {DAMPING.cell(pole)})" if pole.real else "") for pole in _poles(controller)]
         motions = ", ".join(f"{HERTZ.text(abs(pole))}{damping}" for pole, damping in damped)
         yield f"undamped without control; natural frequencies {motions}"
@@ -266,7 +266,7 @@ def _first(row: Row, gains: bool) -> Iterator[str]:
         yield f"also uses the road {controller.ahead:g} s ahead (preview)"
 
 
-def _requested(row: Row, checked: bool) -> Iterator[str]:
+def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
     assert row.controller is not None
     yield from (part for remark in row.controller.remarks for part in remark.split("; ") if part.startswith(FEWER))
     yield from row.answers
@@ -282,7 +282,7 @@ def failures_of(row: Row) -> list[str]:
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
 
-def undamped(controller: Controller) -> bool:
+def lacks_damping(controller: Controller) -> bool:
     """Returns True for a vehicle without control that does not damp some motion: a property of the vehicle, not a failure."""
     return not controller.measured and controller.certificate.stability.verdict == MARGINAL
 
@@ -317,7 +317,7 @@ def details(vehicle: Vehicle, row: Row) -> Document:
     controller, certificate = row.controller, row.controller.certificate
     said = [
         *([law_text(controller.law)] if controller.measured else ["no control force"]),
-        *([certificate.stability.words] if undamped(controller) else []),
+        *([certificate.stability.words] if lacks_damping(controller) else []),
         *(f"specification: {one.text}" for one in controller.specifications),
         *([row.witness.text] if row.witness is not None else []),
         *(row.fragile.lines if row.fragile is not None else []),
@@ -337,7 +337,7 @@ def proofs(rows: Sequence[Row]) -> Table:
     return Table.of("proofs", caption, PROOFS, [row for row in rows if row.controller is not None], detail="full")
 
 
-def _proved(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
+def _proved_eigenvalue(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
     """Returns the smallest eigenvalue of an inequality, absent if it is not proved."""
     proof = row.certificate.proof if row.certificate is not None else None
     return part(proof).smallest if proof is not None and part(proof).proved else None
@@ -346,8 +346,8 @@ def _proved(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
 PROOFS: tuple[Field[Row], ...] = (
     CONTROLLER,
     Field[Certificate]("routes apart", lambda one: one.norm.gap if one.stable else None, ".0e").of(CERTIFICATE),
-    Field("X > 0 by", lambda row: _proved(row, lambda proof: proof.positive), ".1e"),
-    Field("LMI (20) < 0 by", lambda row: _proved(row, lambda proof: proof.negative), ".1e"),
+    Field("X > 0 by", lambda row: _proved_eigenvalue(row, lambda proof: proof.positive), ".1e"),
+    Field("LMI (20) < 0 by", lambda row: _proved_eigenvalue(row, lambda proof: proof.negative), ".1e"),
 )
 
 

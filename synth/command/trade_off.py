@@ -7,8 +7,8 @@ from dataclasses import replace
 from models.common.command import one_chosen, print_json
 from models.common.errors import InputError
 from models.common.files import together
-from models.common.printed import Stages, say, titled
-from models.document.outputs import check_outputs, written, written_lines
+from models.common.printed import Stages, say, title_lines
+from models.document.outputs import check_outputs, output_paths, written_lines
 from models.document.picture import write_picture
 from models.document.text import screen_lines
 from models.vehicle.vehicle import Vehicle
@@ -16,12 +16,12 @@ from synth.command.save import check_save, save
 from synth.plant.numerics import DesignError
 from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.continuation import rays_of
-from synth.vehicle.trade_off.front import DESIGNS, MARKED, Front, entry_of, front
+from synth.vehicle.trade_off.front import DESIGNS, MARKED_POINTS, Front, entry_of, front
 from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
 USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
-SHOWN = 3  # points of a short table
-SAVED = "point"  # in the name of a saved one: I_point_17
+SHOWN_POINTS = 3  # points of a short table
+SAVED_NAME = "point"  # in the name of a saved one: I_point_17
 
 
 def answer(vehicle: Vehicle, options: Namespace) -> int:
@@ -39,13 +39,13 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     if options.point and not options.save:
         raise InputError("--point chooses the designs that --save writes; give a file with --save, or omit --point")
     if options.save:
-        check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
+        check_save(options.save, vehicle, [f"{name}_{SAVED_NAME}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
     progress = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:
         trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, progress)
         if not trade_off.points:
-            raise DesignError(f"none of {trade_off.tried} designs has all its claims proved; give other axes")
+            raise DesignError(f"none of {trade_off.design_count} designs has all its claims proved; give other axes")
     except DesignError as error:
         stage.end()
         if options.json:
@@ -61,15 +61,15 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         if options.csv:
             write_csv(trade_off, options.csv)
         if options.save:
-            chosen = [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers]
+            chosen = [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED_NAME}_{i}") for i in numbers]
             save(options.save, vehicle, chosen)
     stage.end()
     outputs["saved"] = options.save
     if options.json:
-        print_json({"vehicle": vehicle.kind.name, **RECORD(trade_off), **written(outputs)})
+        print_json({"vehicle": vehicle.kind.name, **RECORD(trade_off), **output_paths(outputs)})
     else:
-        title = titled(vehicle.kind.name, vehicle.source)
-        document = replace(describe(trade_off, most=MARKED if options.verbose else SHOWN), title="")
+        title = title_lines(vehicle.kind.name, vehicle.source)
+        document = replace(describe(trade_off, most=MARKED_POINTS if options.verbose else SHOWN_POINTS), title="")
         some = f"not every claim holds: {trade_off.unproved} designs without proof are omitted"
         verdict = some if trade_off.unproved else f"every claim holds for {len(trade_off.points)} designs"
         end = [*written_lines(outputs), "", verdict]

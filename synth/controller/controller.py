@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Checked, validated
-from models.common.errors import InputError, error_in, listing
+from models.common.checks import CheckedFields, check_arguments
+from models.common.errors import InputError, error_in, list_names
 from models.common.extensions import FEATURES
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.laws.law import ControlLaw
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
@@ -23,7 +23,7 @@ from synth.plant.generalized import Plant
 if TYPE_CHECKING:
     from models.document.figure import Figure
     from models.laws.preview import RoadPreview
-    from models.laws.python_law import Programmed
+    from models.laws.python_law import PythonController
     from models.laws.semi_active import SemiActive
     from synth.analysis.lower_bound import LowerBound
     from synth.analysis.specification import Specification
@@ -33,7 +33,7 @@ SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Controller(ControlLaw, Checked, Shown):
+class Controller(ControlLaw, CheckedFields, ShownResult):
     """A linear controller with its certificate and the notes of its design.
 
     Attributes:
@@ -86,18 +86,18 @@ class Controller(ControlLaw, Checked, Shown):
         return "a linear law"
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Measured signals, law and certificate."""
         states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
         law = states if self.law.states else self.text if self.measured else "no force"
         made, certificate = "designed" if self.designed else "given", self.certificate
         rows = {"measures": ", ".join(self.measured) or "nothing", "law": law, **certificate.claims}
-        return facts(f"controller {self.name}: {made}, {certificate.shown.title}", rows)
+        return facts(f"controller {self.name}: {made}, {certificate.summary.title}", rows)
 
     @property
-    def drawn(self) -> "tuple[Figure, ...]":
+    def figures(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop."""
-        return self.certificate.drawn
+        return self.certificate.figures
 
     @property
     def states(self) -> int:
@@ -151,7 +151,7 @@ class Controller(ControlLaw, Checked, Shown):
         return self if self.preview is None else replace(self, preview=None)
 
     @property
-    def quiet(self) -> "Controller":
+    def without_noise(self) -> "Controller":
         """The same controller, whose norms as implemented are of the road alone, without the noise of its sensors."""
         return replace(self, hardware=replace(self.hardware, noise=()))
 
@@ -175,7 +175,7 @@ class Controller(ControlLaw, Checked, Shown):
         """The claims of its certificate and its specifications that do not hold, in words."""
         return (*self.certificate.failures, *self.unmet_specifications)
 
-    @validated
+    @check_arguments
     def problem(self, vehicle: Vehicle) -> Problem:
         """Returns the problem that the controller is judged with, for a vehicle that has these signals.
 
@@ -210,7 +210,7 @@ class Controller(ControlLaw, Checked, Shown):
 
 
 if TYPE_CHECKING:
-    AnyController = Controller | Programmed | SemiActive  # a controller that drives a vehicle
+    AnyController = Controller | PythonController | SemiActive  # a controller that drives a vehicle
 else:
     AnyController = ControlLaw  # its base, as the laws of the others are imported where they are used
 
@@ -235,7 +235,7 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
         if wrong:
             raise InputError(
                 f"controller {one.name!r} {wrong}, so it belongs to another vehicle; this {vehicle.kind.name} has {forces} "
-                f"force(s) and the signals {listing(outputs)}"
+                f"force(s) and the signals {list_names(outputs)}"
             )
 
 
@@ -255,11 +255,11 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
         )
 
 
-def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
     """Recomputes the certificate of a law from the given proofs. Returns it with the claims that fail, in words.
 
     Args:
-        posed: the problem that it is judged with.
+        problem: the problem that it is judged with.
         entry: section of the vehicle file with its law.
 
     Raises:
@@ -269,25 +269,25 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
 
     law, record = _law(entry), entry.certificate or {}
     with error_in(f"[controllers.{entry.name}]"):
-        judged = posed.judged(law)
-        of_law = len(judged.plant.A) - len(posed.plant.A)
-        X, eta, lower_bound = records.read_proof(record, posed.plant, of_law)
+        judged = problem.judged(law)
+        of_law = len(judged.plant.A) - len(problem.plant.A)
+        X, eta, lower_bound = records.read_proof(record, problem.plant, of_law)
         certificate = judged.certificate(X, eta, lower_bound)
     return certificate, (*certificate.failures, *records.false_claims(record, certificate))
 
 
-def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
+def certify_law(problem: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
     """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
 
     Raises:
         InputError: the law has no loop.
     """
     with error_in(f"[controllers.{entry.name}]"):
-        certificate = posed.judged(_law(entry)).certificate(lower_bound=lower_bound)
+        certificate = problem.judged(_law(entry)).certificate(lower_bound=lower_bound)
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:
-            _, wrong = verify_record(posed, entry)
+            _, wrong = verify_record(problem, entry)
         except InputError as error:
             wrong = (str(error),)
     return certificate, wrong
@@ -298,7 +298,7 @@ def _law(entry: ControllerEntry) -> LinearLaw:
     return entry.law
 
 
-def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
+def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
     """Returns a law designed on C_y x as a law on sensor readings, of which accelerations contain the force.
 
     Measured forces are subtracted from the readings; for others the law is changed, so that the loop stays the same. Integrals
@@ -306,19 +306,19 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
 
     Args:
         law: law from the measured signals that depend on the state.
-        posed: the problem that it was designed for, with all q signals.
+        problem: the problem that it was designed for, with all q signals.
 
     Raises:
         InputError: the loop through the measurements has no solution.
     """
-    through, others = posed.plant.Dyu, posed.state_measurements
+    through, others = problem.plant.Dyu, problem.state_measurements
     q = len(through)
     B, D = np.zeros((law.states, q)), np.zeros((len(law.D), q))
     B[:, others], D[:, others] = law.B, law.D
     unknown = np.zeros_like(through)
     unknown[others] = through[others]
-    for i, force in posed.forces.items():
+    for i, force in problem.forces.items():
         of_force = through[others, force]
         B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
         unknown[:, force] = 0.0
-    return posed.on_readings(LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown))
+    return problem.on_readings(LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown))

@@ -66,7 +66,7 @@ def equivalent_line(
     """
     if without_curve(vehicle):
         return None
-    placed = [one for one in vehicle.parts.with_curve if one.curve.bent]
+    placed = [one for one in vehicle.parts.with_curve if one.curve.is_nonlinear]
     signals, names = [one.argument for one in placed], [one.name for one in placed]
     curves, travels = [one.curve for one in placed], [one.deflection for one in placed if one.surface is not None]
     deflections = tuple(one.deflection for one in placed)
@@ -103,7 +103,11 @@ def equivalent_line(
 
 def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns the names of elements with a force that differs from a line and depends on more than one signal."""
-    bent = (one for one in vehicle.parts if one.part.bent and not (one.part.contact or (one.part.inputs and not one.part.states)))
+    bent = (
+        one
+        for one in vehicle.parts
+        if one.part.is_nonlinear and not (one.part.contact or (one.part.inputs and not one.part.states))
+    )
     return tuple(dict.fromkeys(one.name for one in bent if one.part.curve is None))
 
 

@@ -50,15 +50,15 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     the integral of its velocity.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
-    posed = _posed(vehicle, controller.measured, period, controller.hardware.noise)
+    problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)
     with error_in(f"controller {controller.name!r}:"):
         law = controller.law.sampled(period).matrix
     rows = [model.outputs.index(name) for name in controller.measured]
     if not model.Dw[rows].any() and not model.Cr[rows].any():
-        return posed.loop(law)
+        return problem.loop(law)
     # The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the law keeps the integral of the last sample:
     # their difference is the mean.
-    (n, m), q, r, plant = posed.plant.B.shape, len(rows), model.Dw.shape[1], posed.plant
+    (n, m), q, r, plant = problem.plant.B.shape, len(rows), model.Dw.shape[1], problem.plant
     C, D = (rate[:r] for rate in road_rates(vehicle.without_integrals, plant))
     wide = replace(
         plant,
@@ -74,11 +74,11 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     read, states = law[:, :q], law[:, q:]
     kept = np.eye(r, q + r + states.shape[1] + r, q)
     larger = np.vstack([np.hstack([read, read @ now, states, read @ before]), kept])
-    noise = np.vstack([posed.noise, np.zeros((r, posed.noise.shape[1]))])
-    return SampledLoop.of_law(wide, larger, posed.pieces, noise)
+    noise = np.vstack([problem.noise, np.zeros((r, problem.noise.shape[1]))])
+    return SampledLoop.of_law(wide, larger, problem.pieces, noise)
 
 
-def _posed(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
+def _sampled_problem(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
     """Returns the sampled-data problem of measured signals, with the rms noise of each, if there is one."""
     Cy, through = measurements(vehicle.without_integrals, measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(noise) if any(noise) else None
@@ -103,7 +103,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
             f"controller {entry.name!r} cannot be designed for the sampled-data loop: {pushed[0]!r} contains the road's "
             "velocity because of tyre_damping, so its samples have no bound; omit the signal or tyre_damping"
         )
-    return _posed(vehicle, entry.measured, how.sample_period, entry.hardware.noise)
+    return _sampled_problem(vehicle, entry.measured, how.sample_period, entry.hardware.noise)
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:

@@ -64,7 +64,7 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
     return LinearLaw(law.A[np.ix_(own, own)], B, law.C[:, own], D, anti_windup=law.anti_windup)
 
 
-def settled(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
+def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
     """Returns integrals as combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
 
     None if such an integral does not return to zero: the rest of the loop does not decay, or w moves what is integrated at

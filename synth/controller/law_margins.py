@@ -115,7 +115,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
     if controller.linear is False:
         return LawMargins(0.0, "", math.inf, 0.0, None)
     law = controller.law
-    where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
+    where = _clipped_forces(vehicle) if law.growth and law.anti_windup is None else ""
     gain, gain_lower, disk, direct = math.inf, 0.0, None, 0.0
     if law.acts and controller.certificate.stable:
         limits = replace(vehicle.limits, actuator_bandwidth=controller.hardware.bandwidth)
@@ -156,7 +156,7 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
     return [text] if times else []
 
 
-def _clipped(vehicle: Vehicle) -> str:
+def _clipped_forces(vehicle: Vehicle) -> str:
     """Returns where the forces are clipped, in words; empty if they are not."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"

@@ -35,7 +35,7 @@ def with_lag(vehicle: Vehicle) -> LinearModel:
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
-def named(names: Iterable[str], ending: str) -> tuple[str, ...]:
+def with_ending(names: Iterable[str], ending: str) -> tuple[str, ...]:
     """Returns names with an ending."""
     return tuple(f"{name}{ending}" for name in names)
 
@@ -64,7 +64,7 @@ def loop_of(
     hold = ()
     if timestep is not None:
         hold = tuple(HoldInterval(steps * timestep, late) for steps, late in hold_intervals(vehicle.implementation, timestep))
-    plant, measured = plant_of(vehicle, controller.measured, bool(hold)), named(controller.measured, READ)
+    plant, measured = plant_of(vehicle, controller.measured, bool(hold)), with_ending(controller.measured, READ)
     loop = Loop(plant, controller.law, measured, vehicle.linear_model.inputs, hold, timestep, exponential)
     with error_in(f"controller {controller.name!r}:"):
         _ = loop.acting_law
@@ -88,17 +88,17 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
         jump, held = model.C @ model.jump + model.Cr, pushes(model)
         inputs = [
             (model.inputs, model.B, model.D, model.D),
-            (named(model.disturbances, MIDWAY), model.A @ model.jump + model.Br, 0 * jump, 0 * jump),
-            (named(model.disturbances, HEIGHT), 0 * model.Br, jump, jump),
-            (named(held, HELD), model.Bh, 0 * model.Dh, 0 * model.Dh),
-            (named(held, SIGNAL), 0 * model.Bh, model.Dh, 0 * model.Dh),
-            (named(held, READ), 0 * model.Bh, 0 * model.Dh, model.Dh),
+            (with_ending(model.disturbances, MIDWAY), model.A @ model.jump + model.Br, 0 * jump, 0 * jump),
+            (with_ending(model.disturbances, HEIGHT), 0 * model.Br, jump, jump),
+            (with_ending(held, HELD), model.Bh, 0 * model.Dh, 0 * model.Dh),
+            (with_ending(held, SIGNAL), 0 * model.Bh, model.Dh, 0 * model.Dh),
+            (with_ending(held, READ), 0 * model.Bh, 0 * model.Dh, model.Dh),
         ]
     else:
         inputs = [
             (model.inputs, model.B, model.D, model.D),
             (model.disturbances, model.Bw, model.Dw, model.Dw),
-            (named(model.disturbances, HEIGHT), model.Br, model.Cr, model.Cr),
+            (with_ending(model.disturbances, HEIGHT), model.Br, model.Cr, model.Cr),
             (model.loads, model.Bl, model.Dl, model.Dl),
         ]
     names, B, D, D_read = zip(*inputs, strict=True)
@@ -109,11 +109,11 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
         np.vstack([model.C, C, np.zeros_like(model.B.T)]),
         np.vstack([np.hstack(D), np.hstack(D_read)[rows], given]),
         sum(names, ()),
-        (*model.outputs, *named(measured, READ), *named(model.inputs, HELD)),
+        (*model.outputs, *with_ending(measured, READ), *with_ending(model.inputs, HELD)),
         states=model.states,
     )
     noise = np.eye(len(plant.outputs), len(measured), -len(model.outputs))
-    return plant.with_inputs(named(measured, NOISE), np.zeros((len(model.A), len(measured))), noise)
+    return plant.with_inputs(with_ending(measured, NOISE), np.zeros((len(model.A), len(measured))), noise)
 
 
 def radius(loop: Loop) -> float:
@@ -121,7 +121,7 @@ def radius(loop: Loop) -> float:
     return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))
 
 
-def driven(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
+def road_inputs(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
     """Returns the inputs of a continuous loop under roads of velocity exp(j omega t), one at each wheel, by name, (F, r) each.
 
     Args:

@@ -47,35 +47,35 @@ class ClosedLoop:
     Attributes:
         plant: plant with the law's states, except those that are states of the plant itself.
         G: gain on it.
-        by_itself: the plant without the law's states.
+        plant_without_law: the plant without the law's states.
         states: names of its states.
         law_states: number of the law's states behind them.
-        lasting: the closed loop with the heights of the roads as its last states, if a lasting height shows in z: the loop then
-            has no finite norm. None for others.
-        shows: entries of z in which a lasting height shows.
+        with_road_heights: the closed loop with the heights of the roads as its last states, if a lasting height shows in z: the
+            loop then has no finite norm. None for others.
+        unbounded_outputs: entries of z in which a lasting height shows.
     """
 
     plant: Plant
     G: Feedback
-    by_itself: Plant
+    plant_without_law: Plant
     states: tuple[str, ...]
     law_states: int
-    lasting: Plant | None = None
-    shows: tuple[int, ...] = ()
+    with_road_heights: Plant | None = None
+    unbounded_outputs: tuple[int, ...] = ()
 
     @property
     def loop(self) -> Plant:
         """The closed loop from w to z."""
-        return self.lasting or self.plant.closed_loop(self.G)
+        return self.with_road_heights or self.plant.closed_loop(self.G)
 
     def certificate(
         self, X: Array | None = None, eta: float | None = None, lower_bound: "LowerBound | None" = None
     ) -> Certificate:
         """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
-        if self.lasting is None:
-            return certify(self.plant, self.G, X, eta, lower_bound, by_itself=self.by_itself)
-        found = certify(self.plant, self.G, lower_bound=lower_bound, by_itself=self.by_itself)
-        return replace(found, loop=self.lasting, norm=Norm(np.inf, np.nan, np.inf, np.inf))
+        if self.with_road_heights is None:
+            return certify(self.plant, self.G, X, eta, lower_bound, plant_without_law=self.plant_without_law)
+        found = certify(self.plant, self.G, lower_bound=lower_bound, plant_without_law=self.plant_without_law)
+        return replace(found, loop=self.with_road_heights, norm=Norm(np.inf, np.nan, np.inf, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class Problem:
         mine = integral_action.on_integrals(law, self.integrated, kept)
         larger, G = self.plant.with_law(mine)
         lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
-        rows = integral_action.settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
+        rows = integral_action.settled_integrals(larger.closed_loop(G), self.plant, lacking) if lacking else None
         if rows is None:
             return ClosedLoop(larger, G, self.plant, self.states, mine.states)
         stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
@@ -182,7 +182,7 @@ class Problem:
             Dw=loop.Dw,
         )
         shows = np.flatnonzero(np.any(left > RETURNS * size, axis=1)).tolist()
-        return replace(judged, lasting=lasting, shows=tuple(shows))
+        return replace(judged, with_road_heights=lasting, unbounded_outputs=tuple(shows))
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
@@ -351,14 +351,14 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
         pencil = np.block([[plain.A, plain.B], [(rows @ plain.C)[None], (rows @ plain.D)[None]]])
         balanced = pencil / np.maximum(np.abs(pencil).max(axis=1, keepdims=True), np.finfo(float).tiny)
         balanced = balanced / np.maximum(np.abs(balanced).max(axis=0, keepdims=True), np.finfo(float).tiny)
-        if np.linalg.matrix_rank(balanced, UNMOVED) < np.linalg.matrix_rank(balanced[:-1], UNMOVED) + 1:
+        if np.linalg.matrix_rank(balanced, SINGULAR) < np.linalg.matrix_rank(balanced[:-1], SINGULAR) + 1:
             raise InputError(
                 f"{what}, which no constant force changes: no law returns the integral to zero, so it has no norm; weight the "
                 "integral of a suspension deflection, or use a filter without a pole at 0"
             )
 
 
-UNMOVED = 1e-12  # relative: a smaller singular value of a balanced matrix is zero
+SINGULAR = 1e-12  # relative: a smaller singular value of a balanced matrix is zero
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from models import USUAL_TIMESTEP
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.extensions import FEATURES
 from models.common.printed import NORM_DIGITS, as_name, percent, rough
 from models.document.field import OMITTED, Field, Record
@@ -33,8 +33,8 @@ PEAK = Field[Certificate]("peak", lambda one: one.norm.peak_frequency, ".5g", 1 
 LOWER_BOUND = Field[Certificate]("lower bound", lambda one: one.lower_bound, NORM_DIGITS, key="lower_bound")
 GAP = Field[Certificate]("above it", lambda one: one.gap, percent, key="gap")
 SLOWEST_POLE = Field[Certificate]("slowest pole", lambda one: one.own.worst.real, ".4g", unit="1/s")
-SAMPLED = Field[SampledNorm]("sampled", lambda one: one.value if one.stable else "UNSTABLE", NORM_DIGITS)
-REACHED = Field[SampledNorm]("reached by a road", lambda one: one.reached, NORM_DIGITS)
+NORM_AS_IMPLEMENTED = Field[SampledNorm]("sampled", lambda one: one.value if one.stable else "UNSTABLE", NORM_DIGITS)
+REACHED_GAIN = Field[SampledNorm]("reached by a road", lambda one: one.reached, NORM_DIGITS)
 APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
@@ -57,7 +57,7 @@ def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns False for a stable loop without a norm, and for measured heights with the warp of the road, which has no energy."""
     model, norm = vehicle.linear_model, controller.certificate.norm.value
     heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
-    warped = np.abs(model.Cr[heights] @ road_twist_inputs(model).T).max(initial=0.0) > HELD
+    warped = np.abs(model.Cr[heights] @ road_twist_inputs(model).T).max(initial=0.0) > INTEGRATOR_POLE
     return not (warped or (controller.certificate.stable and math.isinf(norm)))
 
 
@@ -100,7 +100,7 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
         return ()
     which = "is below" if norm.reached > norm.upper else "differs from"
     reached = f"the gain that a disturbance reaches, by a relative {APART.cell(norm)}"
-    return (f"the sampled norm {SAMPLED.cell(norm)} {which} {reached}",)
+    return (f"the sampled norm {NORM_AS_IMPLEMENTED.cell(norm)} {which} {reached}",)
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
@@ -141,14 +141,14 @@ def false_norm(
     norm = norm_of_loop()
     if norm is not None and abs(norm.value - said) <= SAME * said:
         return ()
-    claimed = f"the certificate claims that the sampled norm is {SAMPLED.digits(said)}"
+    claimed = f"the certificate claims that the sampled norm is {NORM_AS_IMPLEMENTED.digits(said)}"
     if norm is None:
         return (f"{claimed}, but [implementation] has neither sample_period nor delay",)
     off = f" ({APART.digits(abs(norm.value / said - 1))} off)" if norm.stable else ""
-    return (f"{claimed}, but it is {SAMPLED.cell(norm)}{off} with {built_words(vehicle)}",)
+    return (f"{claimed}, but it is {NORM_AS_IMPLEMENTED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
-SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
+SETTLED_CHANGE = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
 SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 
 
@@ -184,7 +184,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
     felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
-    text = f"The disturbance w is the road's velocity under every wheel and the height of the road's {listing(felt)}"
+    text = f"The disturbance w is the road's velocity under every wheel and the height of the road's {list_names(felt)}"
     return [f"{text}, of which 1 m counts as {rate} m/s."] if count else []
 
 
@@ -214,15 +214,17 @@ IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
     "integrated signal permanently, or no force uses the integral"
 )
-HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
+INTEGRATOR_POLE = 1e-9  # relative; a pole this near to 0 is an integrator's
 
 
 def _has_idle_integral(controller: Controller) -> bool:
     """Returns True if a pole at 0 of a law is one of the loop that it closes."""
     law, where = controller.law, controller.certificate.stability
     at_rest = 0.0 if law.sample_period is None else 1.0
-    held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= HELD * (1 + np.abs(law.A).max(initial=0.0)))
-    return bool(held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= HELD * (1 + where.rates.max())))
+    held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= INTEGRATOR_POLE * (1 + np.abs(law.A).max(initial=0.0)))
+    return bool(
+        held and where.verdict == MARGINAL and np.any(where.rates[where.on_axis] <= INTEGRATOR_POLE * (1 + where.rates.max()))
+    )
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
@@ -252,7 +254,7 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     poles = "; the poles of these filters do not depend on control and are not listed" if states else ""
     lines = [f"norms include filters: {', '.join(texts)}{poles}"]
     if vehicle.integrals:
-        names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
+        names = list_names([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
             f"designs that measure {names} have its integral as a state; norms of the sampled loop leave out this integral"
         )
@@ -266,8 +268,8 @@ def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
     """Returns notes on a law for study: that no car can have it, and why it has no finite norm, if so."""
     if not vehicle.linear_model.over_datum(controller.measured):
         return []
-    shows = controller.problem(vehicle).judged(controller.law).shows if controller.linear is True else ()
-    names = listing([vehicle.weighted[i].name for i in shows])
+    shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
+    names = list_names([vehicle.weighted[i].name for i in shows])
     return [STUDY, *[f"no finite norm: a permanent height of the road causes a permanent {names}"] * bool(shows)]
 
 
@@ -306,7 +308,7 @@ def notes(controller: Controller) -> tuple[str, ...]:
     if steps is not None and steps.optimum_gap > SHORT:
         gap = percent(steps.optimum_gap)
         texts.append(f"the bound is {gap} above its optimum, which only gains too large for actuators reach")
-    elif steps is not None and steps.moved > SETTLED:
+    elif steps is not None and steps.moved > SETTLED_CHANGE:
         texts.append(
             f"the gain did not converge: the last step of the central path changed it by {percent(steps.moved)} of its "
             "largest entry, so the printed gain may not be optimal; norm and bound are those of the printed gain"

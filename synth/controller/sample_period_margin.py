@@ -21,7 +21,7 @@ from synth.plant.state_space import spectral_radius
 DECAYS = 1e-9  # of the fastest of a law: a mode that decays as slowly does not
 FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
 TOGETHER = 128  # sample periods of one batch
-SQUARED = 4  # times that a transition is, to see it contract
+MOST_SQUARINGS = 4  # times that a transition is, to see it contract
 CONTRACTS = 0.4  # norm of a power that does: no eigenvalue comes near the unit circle within a step
 SHALLOW = 0.2  # of the parabola's rise over a step: a minimum that lies higher is none of an instability
 SMALL = 1e-3  # of a step: to so much a minimum is looked for
@@ -37,7 +37,7 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
     law, mine = loop.acting_law, np.isin(loop.forces, forces)
     if mine.all() or loop.plant.part(loop.measured, loop.forces).D.any():
         return True
-    both = _needed(law, mine) & _needed(law, ~mine)
+    both = _needed_states(law, mine) & _needed_states(law, ~mine)
     return bool(np.any(np.linalg.eigvals(law.A[np.ix_(both, both)]).real >= -DECAYS * np.abs(law.A).max(initial=0.0)))
 
 
@@ -86,7 +86,7 @@ def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
     return moved
 
 
-def _needed(law: LinearLaw, forces: Array) -> Array:
+def _needed_states(law: LinearLaw, forces: Array) -> Array:
     """Returns the mask of the states that some forces depend on, directly or through other states, shape (k,)."""
     needed = np.any(law.C[forces] != 0, axis=0)
     for _ in range(law.states):
@@ -96,7 +96,7 @@ def _needed(law: LinearLaw, forces: Array) -> Array:
 
 def _part(law: LinearLaw, forces: Array) -> LinearLaw:
     """Returns the law of some forces, with the states that they depend on."""
-    kept = _needed(law, forces)
+    kept = _needed_states(law, forces)
     return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
 
@@ -172,7 +172,7 @@ def _products(transitions: Array) -> Array:
     # A power that is smaller than 1 in norm has no such eigenvalue, and costs less than these.
     left, power = np.arange(len(transitions)), transitions
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(SQUARED):
+        for _ in range(MOST_SQUARINGS):
             open_ = ~(np.linalg.norm(power, axis=(1, 2)) < CONTRACTS)
             left, power = left[open_], power[open_]
             power = power @ power

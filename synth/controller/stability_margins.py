@@ -192,12 +192,12 @@ def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
     # The pencil has squares of the loop's numbers in it, so that states in unlike units, as a lagged force in N beside metres,
     # would hide solutions. A crossover is cheap to verify and a missing one is not, so a grid is searched, too.
     quadratic = not np.any(cut.D) and len(cut.A) <= MOST_QUADRATIC
-    candidates = _of_the_pencil(_balanced(cut)) if quadratic else []
+    candidates = _of_the_pencil(_balance_loop(cut)) if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if cut.feedthrough_radius >= 1 else []
     return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(cut, FEWER_ANGLES if quadratic else ANGLES)])
 
 
-def _balanced(cut: StateSpace) -> StateSpace:
+def _balance_loop(cut: StateSpace) -> StateSpace:
     """Returns a cut loop with its states in units that make its numbers of a like size, powers of two."""
     _, (scale, _) = linalg.matrix_balance(np.abs(cut.A) + np.abs(cut.B @ cut.C), permute=False, separate=True)
     return replace(cut, A=cut.A * scale / scale[:, None], B=cut.B / scale[:, None], C=cut.C * scale)
@@ -219,7 +219,7 @@ def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
     for z in solutions[np.abs(np.abs(solutions) - 1) < 1e-4]:
         poles = np.linalg.eigvals(A + z * M)
         for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
-            candidates.append(_refined(cut, float(-np.angle(z)), complex(pole)))
+            candidates.append(_refine_crossover(cut, float(-np.angle(z)), complex(pole)))
     return candidates
 
 
@@ -247,11 +247,11 @@ def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover
         crossing[pairs[0]] = (before[pairs[0]].real > 0) != (after[pairs[1]].real > 0)
         # Two poles that meet on their way may be taken for each other: they are then next to the axis.
         crossing[np.argsort(np.abs(before.real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]] = True
-        crossings += [_refined(cut, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
+        crossings += [_refine_crossover(cut, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
     return crossings
 
 
-def _refined(cut: StateSpace, theta: float, pole: complex) -> Crossover | None:
+def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover | None:
     """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:

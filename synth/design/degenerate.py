@@ -26,7 +26,7 @@ from synth.plant.units import own_units, size
 INSTEAD = "designed for a disturbance of every state that z contains"
 
 
-def regularised(plant: Plant) -> WellPosedProblem:
+def regularise_problem(plant: Plant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units."""
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
         return WellPosedProblem(plant)  # bad input, which the central path refuses
@@ -36,7 +36,7 @@ def regularised(plant: Plant) -> WellPosedProblem:
     unobservable = output_nulling_subspace(own, nothing)[1]  # states unobservable in z without control
     zero_gain = nothing if is_stable(plant.A, plant.dt) else None
     strength = size(own.Bw) * (plant.dt or 1.0)
-    regular = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
+    regular = _with_all_outputs(_with_disturbances(plant, strength * np.diag(scale)), own, scale, forces)
 
     if not np.any(plant.D) and not _leaves(own.B, unobservable):
         text = "no control force affects z, so its norm is the same for every gain"
@@ -46,7 +46,7 @@ def regularised(plant: Plant) -> WellPosedProblem:
     direct = bool(np.any(plant.Dw))
     if len(rest.A) and (direct or _leaves(own.Bw, unobservable, kept @ rest.Bw)):
         return WellPosedProblem(plant)
-    disturbed = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else regular
+    disturbed = _with_disturbances(plant, strength * scale[:, None] * kept) if len(rest.A) else regular
     how = "affects z only through Dw" if direct else "does not affect z"
     if not _leaves(own.Bw, unobservable):
         text = f"without control w {how}"
@@ -135,13 +135,13 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
 
-def _disturbed(plant: Plant, where: Array) -> Plant:
+def _with_disturbances(plant: Plant, where: Array) -> Plant:
     """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
 
-def _counting(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
+def _with_all_outputs(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
     """Returns the plant with every state and every input in z, each in its own size.
 
     Args:

@@ -58,12 +58,12 @@ def descent(problem: DesignProblem, progress: Progress) -> DesignResult:
     _, _, kept = independently_measured(plant)
     independent, given = plant.rows(kept), (problem.largest_gain, problem.lower_bound)
     start = replace(steps, law=static_law(steps.gain[:, kept])) if steps is not None else reason
-    from synth.design.static import descended
+    from synth.design.static import design_by_descent
 
     # In place of two steps that are worse than no control, a gain with poles that actuators can follow is enough.
     limits = LIMITS if steps is not None and not np.any(plant.Dyw) and not plant.weights else LIMITS[:1]
     try:
-        ends = descended(independent, start, *given, limits=limits, work=problem.work)
+        ends = design_by_descent(independent, start, *given, limits=limits, work=problem.work)
         result = next((end for end in ends if not end.certificate.beyond_actuators), ends[0])
         how = f"by descent on the norm from {result.origin}, with gains up to {problem.largest_gain:g}"
         if result.certificate.failures:
@@ -96,7 +96,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
         return result
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     came = f"the two-step method reaches norm {digits(result.certificate.norm.value)}{far}; "
-    lower, growth, origin, nearer = _refined(problem, result, work)
+    lower, growth, origin, nearer = _refine_design(problem, result, work)
     came += origin
     stopped = nearer + (f"; {work.text}" if work.over else "")
     if lower is None:
@@ -107,7 +107,7 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     return replace(lower, why=f"{came} lowers the norm with a gain {brief(growth)} times as large{stopped}", method=BOTH)
 
 
-def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
+def _refine_design(problem: DesignProblem, design: DesignResult, work: "Work") -> tuple[DesignResult | None, float, str, str]:
     """Returns a design of a lower norm, the growth of the gain, the start, and a remark; None if no design is found.
 
     From the gain of the two steps, and of a Riccati equation if all states are measured, the norm falls within one valley. Where
@@ -116,7 +116,7 @@ def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tupl
     from synth.analysis.bounding import certify_law
     from synth.design.descent.growth import price
     from synth.design.descent.refine import refine
-    from synth.design.static import descended
+    from synth.design.static import design_by_descent
 
     q, below, largest_gain = len(problem.plant.Cy), problem.lower_bound, problem.largest_gain
     fast = design.certificate.beyond_actuators
@@ -128,7 +128,10 @@ def _refined(problem: DesignProblem, design: DesignResult, work: "Work") -> tupl
     searches: list[tuple[str, Callable[[], list[Array]]]] = [
         (EQUATION, lambda: equation),
         (ITS_GAIN, lambda: [refine(independent, None, start).gain]),
-        (SEARCHED, lambda: [end.gain for end in descended(independent, steps, largest_gain, below, limits=limits, work=work)]),
+        (
+            SEARCHED,
+            lambda: [end.gain for end in design_by_descent(independent, steps, largest_gain, below, limits=limits, work=work)],
+        ),
     ]
     for name, gains in searches:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive, PositiveTime
-from models.common.errors import InputError, error_in, listing, quoted
+from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.printed import digits, percent
 from models.common.schema import read
 from models.laws.combinations import check_together, is_order, section_parts
@@ -113,7 +113,7 @@ def design_feedback(
     for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, FEEDBACK)):
         if value is not None and value not in allowed and not (name == "order" and is_order(value)):
             states = f", or a number of states from 0 to {MOST_STATES}" if name == "order" else ""
-            raise InputError(f"{WHERE} {name} = {quoted(value)} is not known; known: {listing(allowed)}{states}")
+            raise InputError(f"{WHERE} {name} = {short_repr(value)} is not known; known: {list_names(allowed)}{states}")
     goals = {"minimise": minimise, "tolerance": tolerance, "structure": structure}
     goals = {name: _plain(value) for name, value in goals.items() if value is not None}
     goals |= {"bounds": _plain(bounds)} if len(bounds) else {}
@@ -128,7 +128,7 @@ def design_feedback(
     if delay and sample_period is None:
         raise InputError(f"{WHERE} delay = {delay:g} samples needs a sample period; give sample_period in seconds")
     if pid is not None and own.get("structure") not in PATTERNS:
-        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} needs structure = "pid"; give both')
+        raise InputError(f'{WHERE} pid = {short_repr(_plain(pid))} needs structure = "pid"; give both')
     by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
@@ -147,7 +147,7 @@ def design_feedback(
         states=tuple(states),
     )
     if sample_period is not None:
-        return _sampled(problem, plant, rms, hold_intervals(float(sample_period), float(delay)))
+        return _design_sampled(problem, plant, rms, hold_intervals(float(sample_period), float(delay)))
     if problem.structure is None and (goals or len(family)):
         return _for_goals(problem, plant, rms, goals, family)
     if design is not None:
@@ -208,7 +208,7 @@ def _rms(plant: Plant, noise: Sequence[float]) -> Array:
     rms = real_matrix([list(noise)], "noise", "(q,)")[0]
     if len(noise) and (rms.shape != (len(plant.Cy),) or not np.all(rms >= 0)):
         raise InputError(
-            f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(plant.Cy)} numbers from 0 upwards, one for each "
+            f"{WHERE} noise = {short_repr([*noise])} is not allowed; give {len(plant.Cy)} numbers from 0 upwards, one for each "
             "measurement"
         )
     return rms
@@ -241,7 +241,7 @@ def _static(problem: DesignProblem) -> DesignResult:
     return replace(result, why=why, remarks=tuple(text for text in texts if text))
 
 
-def _sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[HoldInterval, ...]) -> DesignResult:
+def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tuple[HoldInterval, ...]) -> DesignResult:
     """Designs a gain or a law for the loop that a computer closes."""
     check_continuous(plant)
     if np.any(plant.Dyw):
@@ -279,10 +279,10 @@ def _for_goals(
         check_inputs(each)
     measured = [each if len(each.Cy) else each.measured(plant.Cy, plant.Dyw) for each in family]
     plants = [problem.plant, *(_with_noise(each, rms) for each in measured)]
-    goals, posed = goals_of_plants(WHERE, section, plants)
+    goals, plant_problem = goals_of_plants(WHERE, section, plants)
     for each in plants:
         check_stabilisable(each, problem.states)
-    result = designed(replace(problem, goals=with_individual_optima(posed) if goals.over == REGRET else posed))
+    result = designed(replace(problem, goals=with_individual_optima(plant_problem) if goals.over == REGRET else plant_problem))
     over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
-    why = f"the goals are {listing([*section, *['family'] * bool(family)])}"
+    why = f"the goals are {list_names([*section, *['family'] * bool(family)])}"
     return replace(result, why=why, criterion=over)

@@ -23,7 +23,7 @@ from synth.plant.numerics import InfeasibleError, numerics
 
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 KNOW_NO_NOISE = "the two-step method ignores measurement noise"
-BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+LARGEST_BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -116,7 +116,7 @@ def _possible(problem: DesignProblem) -> DesignProblem:
     from synth.design.two_step import check_stabilisable
 
     check_stabilisable(problem.plant, problem.states)
-    if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= BOUNDED:
+    if problem.alternatives and problem.lower_bound is None and len(problem.plant.A) <= LARGEST_BOUNDED:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             return replace(problem, lower_bound=FEATURES.load("lower bounds").find_lower_bound(problem.plant))
     return problem

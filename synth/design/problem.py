@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import digits
 from models.document.document import Document
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.laws.design_methods import STATIC
 from models.laws.design_request import LawStructure
 from models.laws.linear import LinearLaw, gain_text, states_text
@@ -149,7 +149,7 @@ class DesignProblem:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DesignResult(Shown):
+class DesignResult(ShownResult):
     """A controller of a plant, with its certificate, and the method that led to it.
 
     Attributes:
@@ -244,19 +244,19 @@ class DesignResult(Shown):
         return self.law.D
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns law, method, reason and certificate as text."""
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: digits(self.value)} if self.criterion != NORM else {}
         value |= {"sampled lower bound": digits(self.sampled_lower_bound)} if self.sampled_lower_bound is not None else {}
         words = {"why": self.why, "remark": self.remark, "case": self.case}
         how = f"feedback by {self.method}" if self.method else "design"
-        return facts(f"{how}, {self.certificate.shown.title}", {**law, **value, **self.certificate.claims, **words})
+        return facts(f"{how}, {self.certificate.summary.title}", {**law, **value, **self.certificate.claims, **words})
 
     @property
-    def drawn(self) -> "tuple[Figure, ...]":
+    def figures(self) -> "tuple[Figure, ...]":
         """The gain of the closed loop."""
-        return self.certificate.drawn
+        return self.certificate.figures
 
 
 def _law_shown(law: LinearLaw) -> dict[str, str]:

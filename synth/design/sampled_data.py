@@ -43,7 +43,7 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
-from synth.design.descent.refine import Refinement, from_some, lowered, refine
+from synth.design.descent.refine import Refinement, from_some, lower_norm, refine
 from synth.design.full_order.full_order import discrete_law
 from synth.design.full_order.riccati import RiccatiSearch
 from synth.design.methods import design
@@ -52,7 +52,7 @@ from synth.design.static import GainSearch, bounded_work
 from synth.design.two_step import NO_GAIN, NO_SECOND_STEP, independent_rows, no_gain, nullspace, output_feedback, state_path
 from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.plant.discrete import mapped
+from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant, law_gain, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
 from synth.plant.units import own_units
@@ -67,12 +67,12 @@ LOWEST, BRACKETED = 40, 1e-4  # steps at most, and how closely, relative, the lo
 COSTS = (1e-3, 1e-5)  # shares of noise and cost, with which that is done
 ABOVE = 1e-4  # relative; how far above a bound within a period the first level is
 
-KEPT = 5e-5  # relative; the gain of the two steps stays where descent gains less
+WORTHWHILE_GAIN = 5e-5  # relative; the gain of the two steps stays where descent gains less
 SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
 STARTS = 3  # the best of them
 WORTH_ANOTHER = 1e-3  # relative; a gain of another valley is taken where it gains more
 LITTLE = 1e-2  # relative; a norm this close to a lower bound is left at that
-BOUNDED = 20  # states; of more a lower bound takes minutes, and a search, too
+LARGEST_BOUNDED = 20  # states; of more a lower bound takes minutes, and a search, too
 FURTHEST = 5  # powers of FAR times a guess of the norm: levels that are tried
 MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
 CLOSE = 1e-9  # relative: so near to 1 a norm is it
@@ -83,10 +83,10 @@ MOST = 260  # unknowns of (22) for a level, 21 states with one input: a dozen or
 ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reached at a limit of central paths
 
 
-Designed = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
+LawWithRemarks = tuple[LinearLaw, tuple[str, ...]]  # a law and remarks on it
 
 
-class Held(NamedTuple):
+class SampledLaw(NamedTuple):
     """A law, the exact norm of its sampled loop, and remarks."""
 
     law: LinearLaw
@@ -102,13 +102,13 @@ def norm_of(held: SampledDataProblem, K: Array, near: float) -> float:
 def by_levels(
     held: SampledDataProblem,
     level: float,
-    method: Callable[[Plant, float, LinearLaw | None], Designed],
+    method: Callable[[Plant, float, LinearLaw | None], LawWithRemarks],
     ended: Callable[[float, float, float], bool],
-    best: Held | None = None,
+    best: SampledLaw | None = None,
     levels: int = LEVELS,
     higher: float = NEAR,
     work: Work | None = None,
-) -> tuple[Held, bool]:
+) -> tuple[SampledLaw, bool]:
     """Returns the law of the lowest sampled norm that a method finds at one level after another, and whether it has ended.
 
     Args:
@@ -132,7 +132,7 @@ def by_levels(
         if plant is not None:
             try:
                 law, remarks = method(plant, level, best.law if best else None)
-                found = Held(law, norm_of(held, law_gain(law), level), remarks)
+                found = SampledLaw(law, norm_of(held, law_gain(law), level), remarks)
             except InfeasibleError:
                 raise
             except (InputError, np.linalg.LinAlgError) as error:
@@ -154,7 +154,7 @@ def _falls_no_more(norm: float, level: float, before: float) -> bool:
     return norm > before * (1 - WORTH)
 
 
-def sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
+def design_sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a gain or a law for the loop that a computer closes."""
     assert problem.sampled is not None, "a sampled loop"
     if problem.structure is None and problem.order != FULL:
@@ -163,7 +163,7 @@ def sampled(problem: DesignProblem, progress: Progress) -> DesignResult:
     if full and problem.thorough:
         near = lowest_level(problem.sampled, near, 0.0)[0]
     bound = _bound(problem, near)
-    found, remark = (_full if full else _structured)(problem, problem.sampled, bound, near)
+    found, remark = (_full if full else _design_structured)(problem, problem.sampled, bound, near)
     method = "Riccati equations for the sampled loop" if full else DESCENT_SAMPLED
     why = f"for {problem.structure.text}" if problem.structure is not None else ""
     return _result(problem, found, bound, method=method, why=why, remarks=(remark,) if remark else ())
@@ -179,7 +179,7 @@ def _bound(problem: DesignProblem, near: float) -> SampledBound | None:
     return find_sampled_bound(problem.sampled, near)
 
 
-def _result(problem: DesignProblem, found: Held, bound: SampledBound | None, **more: Any) -> DesignResult:
+def _result(problem: DesignProblem, found: SampledLaw, bound: SampledBound | None, **more: Any) -> DesignResult:
     """Returns the result of a law with the certificate of its ideal loop.
 
     Raises:
@@ -193,7 +193,7 @@ def _result(problem: DesignProblem, found: Held, bound: SampledBound | None, **m
     return DesignResult(found.law, certificate, value=found.norm, criterion=SAMPLED_NORM, sampled_lower_bound=level, **more)
 
 
-def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> Designed:
+def _design_at_level(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **more: Any) -> LawWithRemarks:
     """Returns the law and the remarks of the design for the plant of a level, as for any discrete plant."""
     m, states = held.plant.B.shape[1], problem.states
     if states:
@@ -214,14 +214,14 @@ def _designed(problem: DesignProblem, held: SampledDataProblem, plant: Plant, **
     return found.law, found.remarks
 
 
-def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[Held, str]:
+def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[SampledLaw, str]:
     """Returns a law of full order within 0.1 % of the lower bound, or the nearest that was found, with a remark."""
     goal = bound.level if bound is not None else 0.0
     least, first = lowest_level(held, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
-        as_run = partial(_as_run, image=mapped(plant), period=held.period)
-        return _designed(problem, held, plant, lower_bound=LowerBound(least / level), as_run=as_run)
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
+        as_run = partial(_as_run, image=continuous_image(plant), period=held.period)
+        return _design_at_level(problem, held, plant, lower_bound=LowerBound(least / level), as_run=as_run)
 
     def ended(norm: float, level: float, before: float) -> bool:
         return min(norm, before) <= least * (1 + WITHIN) or norm <= level * (1 + WORTH)
@@ -234,19 +234,21 @@ def _full(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound 
     return best, f"{_above(best, goal)}: no law that was tried comes closer{stopped}"
 
 
-def _structured(problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float) -> tuple[Held, str]:
+def _design_structured(
+    problem: DesignProblem, held: SampledDataProblem, bound: SampledBound | None, near: float
+) -> tuple[SampledLaw, str]:
     """Returns a law of a given order or structure by descent, with a remark."""
     goal, work = bound.level if bound is not None else 0.0, problem.work or bounded_work(held.plant)
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
         known = [law] if law is not None and problem.structure and not problem.structure.kind else []
-        return _designed(problem, held, plant, lower_bound=None, known=known, work=work)
+        return _design_at_level(problem, held, plant, lower_bound=None, known=known, work=work)
 
     best, _ = by_levels(held, NEAR * (goal or near), method, _falls_no_more, work=work)
     return best, "; ".join([_above(best, goal), *best.remarks])
 
 
-def _above(found: Held, goal: float) -> str:
+def _above(found: SampledLaw, goal: float) -> str:
     """Returns the distance of a law's norm from a lower bound, in words."""
     return f"{percent(found.norm / goal - 1)} above the lower bound of the sampled loop" if goal else NO_BOUND
 
@@ -274,7 +276,7 @@ def _solvable(plant: Plant | None) -> bool:
     """Returns True if a central law of a level's plant has a norm below one."""
     if plant is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            search = RiccatiSearch(mapped(plant)[0], 0.0)
+            search = RiccatiSearch(continuous_image(plant)[0], 0.0)
             return any(search.traded(share, search.own.norm) is not None for share in COSTS)
     return False
 
@@ -309,7 +311,7 @@ def _static(problem: DesignProblem) -> DesignResult:
         if reasons := "; ".join(stabilisability_failures(slow) or static_feedback_obstructions(slow)):
             raise InfeasibleError(reasons) from error
         raise
-    found, bound, remarks = Held(static_law(on_all_rows(K, rows, len(given))), norm), None, ()
+    found, bound, remarks = SampledLaw(static_law(on_all_rows(K, rows, len(given))), norm), None, ()
     if problem.thorough:
         bound = _bound(problem, problem.near)
         remarks = (f"norm {_above(found, bound.level)}" if bound is not None else NO_BOUND,)
@@ -332,14 +334,14 @@ def lowest(ends: Sequence[End]) -> End:
 def down(held: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> End:
     """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
 
-    def method(plant: Plant, level: float, law: LinearLaw | None) -> Designed:
-        return static_law(lowered(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
+    def method(plant: Plant, level: float, law: LinearLaw | None) -> LawWithRemarks:
+        return static_law(lower_norm(Landscape(plant, work=work), plant, law.D if law else K).gain), ()
 
-    found, _ = by_levels(held, norm, method, _falls_no_more, Held(static_law(K), norm), DESCENTS, 1.0)
+    found, _ = by_levels(held, norm, method, _falls_no_more, SampledLaw(static_law(K), norm), DESCENTS, 1.0)
     return found.law.D, found.norm
 
 
-def descended(held: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> End:
+def best_descent(held: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> End:
     """The best gain that descent finds, and its norm, infinite where no start is stable.
 
     Args:
@@ -358,7 +360,7 @@ def descended(held: SampledDataProblem, known: Sequence[Array], near: float, wor
     return lowest([*(down(held, *start, work) for start in best if np.isfinite(start[1])), (nothing, np.inf)])
 
 
-def searched(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
+def better_valley(held: SampledDataProblem, end: End, far: float, work: Work) -> End:
     """Returns an end, or that of the search of static gains for the plant of one level, where another valley is worth it.
 
     Args:
@@ -418,7 +420,7 @@ def _gain(
     norm, quiet = np.inf, replace(held, rms=None)
     if held.stored_forces:
         with contextlib.suppress(DesignError):
-            undelayed, _ = two_steps(quiet.at_once, near, None)
+            undelayed, _ = two_steps(quiet.without_delay, near, None)
     try:
         K, level = two_steps(quiet, near, undelayed)
         norm = norm_of(held, K, near)
@@ -434,16 +436,16 @@ def _gain(
             if np.isfinite(height) and not _at_the_limit(held, end[1]):
                 end = lowest([end, down(held, start, height, work)])
         if least < end[1]:
-            end = lowest([end, descended(held, [*known, K], near, work)])
+            end = lowest([end, best_descent(held, [*known, K], near, work)])
     else:
         failure = failure or DesignError("rounding leaves no stable loop with the gain that was found")
-        end = descended(held, [start for start in (*known, undelayed, K) if start is not None], near, work)
-    moved, reached = searched(held, end, far, work) if _may_fall(held, end[1]) else end
+        end = best_descent(held, [start for start in (*known, undelayed, K) if start is not None], near, work)
+    moved, reached = better_valley(held, end, far, work) if _may_fall(held, end[1]) else end
     if failure is None:
         assert K is not None, "without a failure it is found"
         if held.noise.size:
             why = "the two-step method ignores noise"
-        elif norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
+        elif norm <= min(least * (1 + ROUNDING), reached * (1 + WORTHWHILE_GAIN)):
             return K, norm, level, ""
         else:
             further = f"{which} reaches {digits(least)}" if least < norm else f"descent from there reaches {digits(reached)}"
@@ -460,13 +462,13 @@ def _gain(
 
 def _at_the_limit(held: SampledDataProblem, norm: float) -> bool:
     """Returns True if a norm is next to what no control force changes."""
-    plant = held.at(norm * (1 - KEPT))
+    plant = held.at(norm * (1 - WORTHWHILE_GAIN))
     return plant is None or bound_beyond_control(plant).gamma >= 1
 
 
 def _may_fall(held: SampledDataProblem, norm: float) -> bool:
     """Returns True if no lower bound is known that a norm is within 1 % of, and the loop is of few states."""
-    if len(held.rows[0]) > BOUNDED:
+    if len(held.rows[0]) > LARGEST_BOUNDED:
         return False
     plant = held.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
     if plant is None:
@@ -504,7 +506,7 @@ def two_steps(held: SampledDataProblem, near: float, undelayed: Array | None) ->
 
     second_step(_follows(path[-1].X, rows))
     if undelayed is not None:
-        _, of_state = _level(held.at_once, state_path, level)
+        _, of_state = _level(held.without_delay, state_path, level)
         both = np.vstack([_follows(of_state[-1].X, held.plant.Cy), *[undelayed] * held.stored_forces])
         second_step(both @ np.linalg.inv(rows @ both))
     for start in reversed(path[:-1]):
@@ -575,7 +577,7 @@ def _level(
             else:
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
-            guesses = (_crossing(seen[-count:]) for count in (3, 2, 1))
+            guesses = (_crossing_level(seen[-count:]) for count in (3, 2, 1))
             # With one end alone the last guess, of one pair, lies beyond it.
             level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
@@ -585,7 +587,7 @@ def _level(
     )
 
 
-def _crossing(seen: Sequence[tuple[float, float]]) -> float:
+def _crossing_level(seen: Sequence[tuple[float, float]]) -> float:
     """Returns the level where the norm is 1, by a polynomial of log level over log norm; NaN without a slope.
 
     For a single pair the norm is assumed to fall as the level rises.

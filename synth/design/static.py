@@ -41,18 +41,18 @@ LARGE = 30  # states; with more a stabilising start takes minutes, and is for wh
 ALL = 100  # starts; there are never so many
 # Rounds of descent, from how many of the best starts, and the share of a rival's norm above which the search ends.
 HEATS = ((10, ALL, 1.1), (30, 5, 1.1), (60, 2, 1.03), (300, 2, 1.03))
-CONVERGED = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
+LAST_ROUNDS = 1200  # rounds of the last descent; a large plant, whose rounds take long, has fewer
 AGAINST = 3  # starts against a rival
-ENTERED = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
+MOST_STARTS = 8  # starts of a plant of `LARGE` states; a larger plant has fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
-REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
+BOUND_TOLERANCE = 1e-4  # relative; this close to what no controller beats, the search ends
 NEAR = 1e-3  # relative; how far above that a state feedback begins: the nearer its norm, the larger its gain
 ZERO = 1e-9  # of the size of the plant's matrices; a norm this small is zero
 SURROUNDINGS = (0.1, 0.3, 1.0)  # how far from the winner further descents start, in logarithms
 AROUND = 60  # rounds of each of these descents
 EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
 SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
-MISSED = 3  # until so many in a row have another,
+DIFFERENT_STARTS = 3  # until so many in a row have another,
 HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
 LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
 
@@ -113,12 +113,12 @@ def static_output_feedback(
         two_steps = two_step_design(independent)
     except InputError as error:
         two_steps = str(error)
-    (found,) = descended(independent, two_steps, largest_gain, lower_bound, rival)
+    (found,) = design_by_descent(independent, two_steps, largest_gain, lower_bound, rival)
     return with_redundant_rows(found, rows, len(plant.Cy), 0.0)
 
 
 @numerics()
-def descended(
+def design_by_descent(
     plant: Plant,
     two_steps: DesignResult | str,
     largest_gain: float = LARGEST_GAIN,
@@ -164,16 +164,16 @@ class GainSearch:
         self,
         plant: Plant,
         largest_gain: float,
-        beaten_by_none: float,
+        lower_bound: float,
         structure: Array | None = None,
         alike: Callable[[Landscape, Array], Array] = lambda landscape, x: x,
-        enough: float = REACHED,
+        enough: float = BOUND_TOLERANCE,
         rival: float = np.inf,
         work: Work | None = None,
     ) -> None:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
-        beaten_by_none: lower bound for controllers of this kind; 0 for none.
+        lower_bound: lower bound for controllers of this kind; 0 for none.
         structure: argument of `Landscape`.
         alike: returns the point whose entries count for the limit, among the points of gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
@@ -185,7 +185,7 @@ class GainSearch:
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.alike, own = alike, self.landscape.plant
         self.nothing = ZERO * (float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A))
-        self.enough = max(beaten_by_none * (1 + enough), self.nothing)
+        self.enough = max(lower_bound * (1 + enough), self.nothing)
 
     def refined(self, two_steps: DesignResult) -> list[Candidate]:
         """The two steps, refined where they are near the rival."""
@@ -240,7 +240,7 @@ class GainSearch:
                 least, missed = share, 0
             else:
                 refused, missed = (share, 1) if not missed else (refused, missed + 1)
-            if missed == MISSED:
+            if missed == DIFFERENT_STARTS:
                 break
         for _ in range(HALVINGS if least < 1 else 0):
             middle = (least + refused) / 2
@@ -250,7 +250,7 @@ class GainSearch:
     def successive_halving(self, candidates: list[Candidate]) -> Candidate:
         """Returns the best of the candidates after descents of several lengths, the longest from the best ends alone."""
         n, best = len(self.plant.A), sorted(candidates, key=lambda each: each.norm)
-        most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(ENTERED * (LARGE / n) ** 3))
+        most = AGAINST if np.isfinite(self.rival) else ALL if n <= LARGE else max(1, int(MOST_STARTS * (LARGE / n) ** 3))
         for rounds, count, behind in HEATS:
             ends = list[Candidate]()
             for each in best[: min(count, most)]:
@@ -268,7 +268,7 @@ class GainSearch:
         n, best = len(self.plant.A), self.successive_halving(candidates)
         if best.norm > self.rival * HEATS[-1][2]:
             return best
-        best = self.step(best, converged := int(CONVERGED * min(1.0, (LARGE / n) ** 2)))
+        best = self.step(best, converged := int(LAST_ROUNDS * min(1.0, (LARGE / n) ** 2)))
         for number, factor in enumerate(SURROUNDINGS if n <= LARGE else ()):
             if self.reached(best) or self.landscape.work.over or best.norm > self.rival * HEATS[-1][2]:
                 break

@@ -135,7 +135,7 @@ def well_posed(plant: Plant) -> WellPosedProblem:
         if sees_every_state(own):
             return WellPosedProblem(plant, regular=True)
 
-    return FEATURES.load("degenerate plants").regularised(plant)
+    return FEATURES.load("degenerate plants").regularise_problem(plant)
 
 
 NO_SECOND_STEP = "problem (25) has no solution for the X of (22), but another gain may exist"

@@ -108,7 +108,7 @@ def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Factored(ABC):
+class FactoredDerivatives(ABC):
     """Derivatives of sum log det at a point: its gradient, and the Hessian as S^-1 R' R S^-1.
 
     Attributes:
@@ -146,7 +146,7 @@ def _triangular(R: Array, x: Array, transposed: bool) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Local(Factored):
+class Local(FactoredDerivatives):
     """Derivatives of a `Barrier` at a point.
 
     Attributes:
@@ -158,7 +158,7 @@ class Local(Factored):
     numbers: Array | None = None
 
     def rates(self, step: Array) -> Array:
-        """Returns `Factored.rates`."""
+        """Returns `FactoredDerivatives.rates`."""
         rates = [_eigenvalues(step @ W) for W in self.W]
         return np.concatenate(rates if self.numbers is None else [*rates, step @ self.numbers])
 
@@ -166,7 +166,7 @@ class Local(Factored):
 class Derivatives(Protocol):
     """A barrier with derivatives: `Barrier`, `WithLogTerm`, or `structured_barrier.StructuredBarrier`."""
 
-    def at(self, p: Array) -> Factored | None:
+    def at(self, p: Array) -> FactoredDerivatives | None:
         """Returns the derivatives at a point, or None outside the feasible set."""
         ...
 
@@ -195,7 +195,7 @@ class WithLogTerm:
 
 
 @dataclass(frozen=True, eq=False)
-class RaisedLocal(Factored):
+class RaisedLocal(FactoredDerivatives):
     """Derivatives of a `WithLogTerm` barrier at a point; `triangle` is that of the barrier without the logarithm.
 
     Attributes:
@@ -205,25 +205,25 @@ class RaisedLocal(Factored):
         ratio: last diagonal entry of R without the logarithm, over that with it.
     """
 
-    alone: Factored
+    alone: FactoredDerivatives
     weight: float
     slope: float
     ratio: float
 
     def half(self, c: Array) -> Array:
-        """Returns `Factored.half`."""
+        """Returns `FactoredDerivatives.half`."""
         return self._scaled(self.alone.half(c))
 
     def solve(self, half: Array) -> Array:
-        """Returns `Factored.solve`."""
+        """Returns `FactoredDerivatives.solve`."""
         return self.alone.solve(self._scaled(half.copy()))
 
     def rates(self, step: Array) -> Array:
-        """Returns `Factored.rates`, with the rate of the logarithm as the last."""
+        """Returns `FactoredDerivatives.rates`, with the rate of the logarithm as the last."""
         return np.append(self.alone.rates(step), self.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """Returns `Factored.lowest` with the weight of the logarithm."""
+        """Returns `FactoredDerivatives.lowest` with the weight of the logarithm."""
         rates = self.rates(step)
         weights = np.ones(len(rates))
         weights[-1] = self.weight
@@ -246,8 +246,8 @@ def newton(
     c: Array,
     tolerance: float,
     leave: Callable[[Array], bool] = lambda p: False,
-    here: Factored | None = None,
-) -> tuple[Array, float, Factored]:
+    here: FactoredDerivatives | None = None,
+) -> tuple[Array, float, FactoredDerivatives]:
     """Minimises c' p plus the barrier from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
 
     Args:
@@ -305,7 +305,7 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
     return t
 
 
-def boundary(here: Factored, step: Array) -> float:
+def boundary(here: FactoredDerivatives, step: Array) -> float:
     """Returns the largest t with p + t step feasible, at which a block becomes singular."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf
@@ -313,7 +313,7 @@ def boundary(here: Factored, step: Array) -> float:
 
 FASTER = 8.0  # how much weight the last unknown gains from one centre to the next
 CENTRES = 24  # of the path, at most
-CENTRED = 0.1  # Newton decrement at a centre
+CENTRE_DECREMENT = 0.1  # Newton decrement at a centre
 WITHIN = 0.95  # of the way to the boundary, where a step along the path would leave
 SHORTEST = 1e-10  # likewise, of that step
 SURE = 1.1  # times as far as the least can be from a centre's
@@ -340,7 +340,7 @@ def lowest_last(barrier: Derivatives, p: Array, rows: int, enough: float, close:
         raise np.linalg.LinAlgError("rounding leaves no feasible point")
     for _ in range(CENTRES):
         c[-1] = weight
-        p, _, here = newton(barrier, p, c, CENTRED, lambda p: p[-1] < enough, here)
+        p, _, here = newton(barrier, p, c, CENTRE_DECREMENT, lambda p: p[-1] < enough, here)
         gap = SURE * rows / weight
         if p[-1] < enough or (gap <= close and p[-1] - gap > enough):
             break

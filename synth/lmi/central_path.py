@@ -31,7 +31,7 @@ from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.certificate import bounded_real_matrix
-from synth.lmi.barrier import Barrier, Derivatives, Factored, WithLogTerm, boundary, newton
+from synth.lmi.barrier import Barrier, Derivatives, FactoredDerivatives, WithLogTerm, boundary, newton
 from synth.lmi.output_nulling import hides_stable_states
 from synth.lmi.unknowns import Basis, direction
 from synth.plant.generalized import Plant, check_posed, fed_back
@@ -45,7 +45,7 @@ LIMIT = 1e-9
 """Value of mu / eta at which the path ends: for the paper's problem, gains are within 3e-6 of the limit."""
 
 
-CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
+CENTRE_DECREMENT = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
 RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu / eta of the points computed
 FIRST = 1.0  # mu / eta of the first point, far from any optimum
 FAR = 1e5  # condition of X, once I, from which new coordinates are taken
@@ -167,7 +167,7 @@ def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoin
     """Returns a point of the path without the unobservable states as a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
-        return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
+        return CentralPoint(part.completed_x(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
     except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises a ValueError for NaN and infinity
         raise DesignError(f"rounding prevents an X for the states unobservable in z ({error}); give other units") from error
 
@@ -292,7 +292,7 @@ class _Path:
         if here is None:  # infeasible by rounding
             raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
-            p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRED, self._far, here)
+            p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRE_DECREMENT, self._far, here)
             if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and (moved := self._moved(p, rest)):
                 moves += 1
                 barrier, start, here = moved
@@ -315,13 +315,13 @@ class _Path:
                 raise DesignError(f"the central path could not be followed below mu = {rest:.1e}: {BREAKS_OFF}")
             rest, (barrier, start, here) = following, moved
 
-    def _entered(self, rest: float) -> tuple[WithLogTerm, Array, Factored | None]:
+    def _entered(self, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives | None]:
         """Returns the barrier of a rest in the current coordinates, the current point, and its derivatives if feasible."""
         barrier, n, m = WithLogTerm(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
 
-    def _moved(self, p: Array, rest: float) -> tuple[WithLogTerm, Array, Factored] | None:
+    def _moved(self, p: Array, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives] | None:
         """Changes to the coordinates of a point and returns `_entered`; None, unchanged, if rounding makes it infeasible."""
         before = self.V, self.K, self.basis, self.eta
         X, Y, self.eta = self.basis.unpack(p)

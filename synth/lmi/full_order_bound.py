@@ -18,12 +18,12 @@ from models.common.arrays import Array
 from models.common.checks import Matrix
 from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit, limit_at, limit_at_infinity
-from synth.analysis.lower_bound import DualCertificate, LowerBound, Meeting, prove_from_inequalities
+from synth.analysis.lower_bound import CouplingMatrix, DualCertificate, LowerBound, prove_from_inequalities
 from synth.analysis.rigorous import floats
 from synth.analysis.stability import pole_text, uncontrollable_modes
 from synth.analysis.synthesis_inequality import SynthesisInequality
 from synth.lmi.barrier import Barrier, Block, boundary, newton
-from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
+from synth.lmi.central_path import CENTRE_DECREMENT, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics, up_to_rounding
 from synth.plant.units import nearest_power, own_units, size
@@ -133,9 +133,9 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
     For a discrete plant its continuous image only proposes the frequency.
     """
     if plant.dt is not None:
-        from synth.plant.discrete import mapped, true_frequency
+        from synth.plant.discrete import continuous_image, true_frequency
 
-        limit = invariant_limit(mapped(plant.measured(np.eye(len(plant.A))))[0])
+        limit = invariant_limit(continuous_image(plant.measured(np.eye(len(plant.A))))[0])
         at = true_frequency(limit[1], plant.dt) if limit is not None else 0.0
         best = max((LowerBound(limit_at(plant, each), limit_at=each) for each in (0.0, at)), key=_gamma)
         return best if best.gamma else LowerBound(0.0)
@@ -193,17 +193,17 @@ def _joint_path(
     """Yields dual certificates and gamma along the path, ever closer to the optimum, as far as it can be followed."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
-    first, second = _Side(one, plant), None
+    first, second = _ProjectedLmi(one, plant), None
     between = np.zeros((0, len(first.T)))
     eta = first.feasible_eta()
     weight, grow = eta, 2.0
     if other is not None and dual is not None:
-        second = _Side(other, dual)
+        second = _ProjectedLmi(other, dual)
         weight = second.feasible_eta()
         second.T = second.T / weight**0.5
-        between = Meeting.of(one, other).floats
+        between = CouplingMatrix.of(one, other).floats
         # S and t grow together until [S J2 J1'; J1 J2' X] > 0 and eta t > 1.
-        needed = float(np.linalg.norm(_coupling(first, second, between), 2)) ** 2 if between.size else 0.0
+        needed = float(np.linalg.norm(_coupling_matrix(first, second, between), 2)) ** 2 if between.size else 0.0
         grow = 2 * max(1.0, needed, weight / eta)
         second.T = second.T * grow**0.5
     t = grow / weight if weight else np.inf
@@ -216,7 +216,7 @@ def _joint_path(
         barrier = Barrier(blocks)
         if barrier.at(p) is None:
             return
-        p, decrement, here = newton(barrier, p, c, CENTRED)
+        p, decrement, here = newton(barrier, p, c, CENTRE_DECREMENT)
         if decrement > 0.5:
             return
         t = float(p[-1])
@@ -269,7 +269,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
     return most / 2 - epsilon * margin
 
 
-class _Side:
+class _ProjectedLmi:
     """One of the two inequalities, and its current X = T T', which is I in the coordinates of T."""
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
@@ -317,12 +317,12 @@ class _Side:
         self.T = self.T @ np.linalg.cholesky(np.tensordot(unknowns, self.units(), 1))
 
 
-def _coupling(first: _Side, second: _Side, between: Array) -> Array:
+def _coupling_matrix(first: _ProjectedLmi, second: _ProjectedLmi, between: Array) -> Array:
     """Returns J2 J1' in the coordinates of both."""
     return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
 
-def _blocks(first: _Side, second: _Side | None, between: Array) -> tuple[list[Block], int]:
+def _blocks(first: _ProjectedLmi, second: _ProjectedLmi | None, between: Array) -> tuple[list[Block], int]:
     """Returns the constraints on the unknowns (X, eta, S, t), and the number of unknowns in (X, eta)."""
     one = [first.steps(), -(first.b @ first.b.T)[None]]
     k = sum(map(len, one))
@@ -348,7 +348,7 @@ def _blocks(first: _Side, second: _Side | None, between: Array) -> tuple[list[Bl
     if second is not None:
         blocks.append((-(second.b @ second.b.T), over_all([(k, np.concatenate(two))], len(second.b))))
         X[k:-1, :b, :b] = second.units()
-        joint[:b, b:] = _coupling(first, second, between)
+        joint[:b, b:] = _coupling_matrix(first, second, between)
         joint[b:, :b] = joint[:b, b:].T
     blocks.append((joint, X))
     return [block for block in blocks if len(block[0])], k

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from synth.lmi.barrier import Factored
+from synth.lmi.barrier import FactoredDerivatives
 from synth.lmi.structured_barrier import SHIFTS
 
 
@@ -96,7 +96,7 @@ class StackedBarrier:
 
 
 @dataclass(frozen=True, eq=False)
-class StackedLocal(Factored):
+class StackedLocal(FactoredDerivatives):
     """Derivatives at a point, with inverse Cholesky factors of every S, shape (V, n + d, n + d), and of X, shape (n, n)."""
 
     barrier: StackedBarrier
@@ -104,7 +104,7 @@ class StackedLocal(Factored):
     alone: Array
 
     def rates(self, step: Array) -> Array:
-        """Returns `Factored.rates`."""
+        """Returns `FactoredDerivatives.rates`."""
         X = self.barrier.matrix(step)
         of_loops = np.linalg.eigvalsh(self.inverse @ self.barrier.change(X, step[-1]) @ self.inverse.swapaxes(1, 2))
         return np.concatenate([of_loops.ravel(), np.linalg.eigvalsh(self.alone @ X @ self.alone.T)])

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from synth.lmi.barrier import Factored
+from synth.lmi.barrier import FactoredDerivatives
 from synth.lmi.unknowns import places
 from synth.plant.generalized import Plant
 
@@ -266,14 +266,14 @@ def _products(U: Array, V: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class StructuredLocal(Factored):
+class StructuredLocal(FactoredDerivatives):
     """Derivatives at a point, with U of S^-1 = U U' of every constraint, shapes (k, k)."""
 
     barrier: StructuredBarrier
     bases: list[Array]
 
     def rates(self, step: Array) -> Array:
-        """Returns `Factored.rates`."""
+        """Returns `FactoredDerivatives.rates`."""
         unknown = self.barrier.matrix(step)
         changes = []
         for part, U in zip(self.barrier.constraints, self.bases, strict=True):

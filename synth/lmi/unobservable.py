@@ -52,7 +52,7 @@ class UnobservableReduction:
         """Returns the gain of the whole plant for a gain of the rest, shape (m, q)."""
         return K @ self.narrow + self.F
 
-    def followed(self, K: Array, X: Array, eta: float) -> Array:
+    def completed_x(self, K: Array, X: Array, eta: float) -> Array:
         """Returns an X of the whole plant, shape (n, n), whose removed states follow the others.
 
         It is the covariance of the closed loop under white noise that gives the remaining states the covariance X.
@@ -71,7 +71,7 @@ class UnobservableReduction:
         """Returns an X of the whole plant that proves the same bound: large enough in the removed states."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
-        whole = inside @ self.followed(K, X, eta) @ inside.T
+        whole = inside @ self.completed_x(K, X, eta) @ inside.T
         M = bounded_real_matrix(loop, whole, np.zeros_like(loop.B.T), eta)
         n = len(loop.A)
         kept = np.r_[0:k, n : len(M)]
@@ -101,7 +101,7 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
     moved, lengths = in_balanced_coordinates(plant, T)
     for F in output_nulling_gains(moved):
         V = output_nulling_subspace(moved, F, step)[0]
-        in_q, in_r = _structured(moved, F, V, a)
+        in_q, in_r = _invariant_bases(moved, F, V, a)
         out_q, out_r = complement(in_q[:a]), complement(in_r[a:])
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
@@ -123,7 +123,7 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
     return None
 
 
-def _structured(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
+def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
     """Returns bases of the largest (A + B F)-invariant V_q + V_r in V: V_q in the first `a` coordinates with F V_q = 0."""
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])

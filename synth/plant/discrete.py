@@ -19,15 +19,15 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from synth.plant.double_double import LEFT, MOST_TURNS, added, multiplied, product
+from synth.plant.double_double import LEFT, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-LOST = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
+LEAST_SINGULAR_VALUE = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
 MOVES = 20  # gains that are tried if A has a pole next to -1
 SEED = 20261122
 
 
-def mapped(plant: Plant) -> tuple[Plant, Array]:
+def continuous_image(plant: Plant) -> tuple[Plant, Array]:
     """Returns the continuous image of a discrete plant with its measurements, and K0; a continuous plant is its own image.
 
     The gain K of the discrete plant, shape (m, q), is K - K0 of its image.
@@ -105,12 +105,12 @@ def _away_from_minus_one(plant: Plant) -> Array:
         return float(sizes[-1] / max(1.0, sizes[0])) if len(sizes) else 1.0
 
     nothing = np.zeros((plant.B.shape[1], len(plant.Cy)))
-    if lost(nothing) > LOST:
+    if lost(nothing) > LEAST_SINGULAR_VALUE:
         return nothing
     generator = np.random.default_rng(SEED)
     scale = 0.5 / _reach(plant).T
     best = max((scale * generator.standard_normal(nothing.shape) for _ in range(MOVES)), key=lost)
-    if lost(best) <= LOST:
+    if lost(best) <= LEAST_SINGULAR_VALUE:
         raise InputError(
             "the plant has a pole at z = -1 that no feedback of the measured signals moves; remove this pole from the model, or "
             "add an actuator that acts on it or a measurement that contains it"
@@ -143,14 +143,14 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
     n, r = system.Bw.shape
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond
     A, eye = system.A, np.eye(n)
-    minus, plus = added(eye, -A), added(eye, A)
+    minus, plus = exact_sum(eye, -A), exact_sum(eye, A)
     minus, plus = (minus[0], minus[1] - beyond[:n]), (plus[0], plus[1] + beyond[:n])
     if t <= 1:
-        across = multiplied(np.full((n, n), t), plus[0])
+        across = exact_product(np.full((n, n), t), plus[0])
         real, turned = minus, (across[0], across[1] + t * plus[1])
         right = np.vstack([system.Bw, -t * system.Bw])
     else:
-        across = multiplied(np.full((n, n), 1 / t), minus[0])
+        across = exact_product(np.full((n, n), 1 / t), minus[0])
         real, turned = plus, (-across[0], -across[1] - minus[1] / t)
         right = np.vstack([-system.Bw, -system.Bw / t])
     high, low = (np.block([[a, -b], [b, a]]) for a, b in zip(real, turned, strict=True))
@@ -158,10 +158,10 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
     T, moved = np.zeros((len(system.C), r), complex), np.inf
     for _ in range(MOST_TURNS):
         into, lost = product(high, solution)
-        change, off = added(right, -into)
+        change, off = exact_sum(right, -into)
         step = np.linalg.solve(high, change + (off - lost - high @ rest - low @ solution))
-        solution, off = added(solution, step)
-        solution, rest = added(solution, rest + off)
+        solution, off = exact_sum(solution, step)
+        solution, rest = exact_sum(solution, rest + off)
         parts = []
         for x, least in zip(np.split(solution, 2), np.split(rest, 2), strict=True):
             out, lost = product(system.C, x)

@@ -14,14 +14,14 @@ LEFT = 1e-14  # relative; an iteration that moves by less has converged
 MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 
-def added(a: Array, b: Array) -> tuple[Array, Array]:
+def exact_sum(a: Array, b: Array) -> tuple[Array, Array]:
     """Returns a + b without error, entry by entry."""
     high = a + b
     part = high - a
     return high, (a - (high - part)) + (b - part)
 
 
-def multiplied(a: Array, b: Array) -> tuple[Array, Array]:
+def exact_product(a: Array, b: Array) -> tuple[Array, Array]:
     """Returns a b without error, entry by entry."""
     high = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
@@ -33,12 +33,12 @@ def product(left: Array, right: Array) -> tuple[Array, Array]:
     if not left.shape[-1]:
         whole = left @ right
         return whole, np.zeros_like(whole)
-    terms, lost = multiplied(left[..., :, :, None], right[..., None, :, :])
+    terms, lost = exact_product(left[..., :, :, None], right[..., None, :, :])
     high, low = terms[..., 0, :], lost.sum(axis=-2)
     for i in range(1, terms.shape[-2]):
-        high, off = added(high, terms[..., i, :])
+        high, off = exact_sum(high, terms[..., i, :])
         low = low + off
-    return added(high, low)
+    return exact_sum(high, low)
 
 
 def _halves(a: Array) -> tuple[Array, Array]:

@@ -11,9 +11,9 @@ import numpy as np
 from models.common import arrays
 from models.common.arrays import Array
 from models.common.checks import Index, Matrix, check, check_shape
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 from models.laws.linear import LinearLaw, static_law
-from synth.plant.double_double import added, product
+from synth.plant.double_double import exact_sum, product
 
 SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
 
@@ -361,8 +361,8 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
     gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
     moved, low = product(inputs, gain)
     low = low + inputs @ rest
-    high, off = added(open_loop, moved)
-    return added(high, off + low if beyond is None else off + (low + beyond))
+    high, off = exact_sum(open_loop, moved)
+    return exact_sum(high, off + low if beyond is None else off + (low + beyond))
 
 
 def _sample_period(dt: object) -> float:
@@ -373,7 +373,7 @@ def _sample_period(dt: object) -> float:
             raise TypeError
         period = float(dt)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"dt = {quoted(dt)} is not a number; {allowed}") from None
+        raise InputError(f"dt = {short_repr(dt)} is not a number; {allowed}") from None
     if not SMALLEST <= period <= LARGEST:
         raise InputError(f"dt = {period:g} is not a sample period; {allowed}")
     return period

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, recursion
-from models.common.checks import Checked, Index, PositiveTime
+from models.common.checks import CheckedFields, Index, PositiveTime
 from models.laws.linear import LinearLaw
 from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
@@ -32,7 +32,7 @@ LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a stat
 
 
 @dataclass(frozen=True, eq=False)
-class HoldInterval(Checked):
+class HoldInterval(CheckedFields):
     """A part of the period in which one force is held.
 
     Attributes:
@@ -141,12 +141,12 @@ class Loop:
         plant = self._forced_plant
         if self.step is None or plant.dt is not None:
             return plant
-        Phi, Gamma = plant.held(self.step, self.exponential)
+        Phi, Gamma = plant.hold_matrices(self.step, self.exponential)
         return replace(plant, A=Phi, B=Gamma, dt=self.step)
 
-    def held(self, duration: float) -> tuple[Array, Array]:
+    def hold_matrices(self, duration: float) -> tuple[Array, Array]:
         """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
-        return self._held_plant.held(duration, self.exponential)
+        return self._held_plant.hold_matrices(duration, self.exponential)
 
     @cached_property
     def open_loop(self) -> StateSpace:
@@ -171,7 +171,7 @@ class Loop:
         readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
         outputs = np.vstack([y, x_c, law.D @ readings + law.C @ x_c])
         for part in self.hold:
-            Phi, Gamma = self.held(part.duration)
+            Phi, Gamma = self.hold_matrices(part.duration)
             x = Phi @ x + Gamma @ np.vstack([forces[part.late], d])
         if not self.hold:
             x = plant.A @ x + plant.B @ np.vstack([u, d])
@@ -219,7 +219,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     d = d.reshape(*runs, K, P, len(names))
     at_sample, by_step = d[..., 0, :], d[..., outside]
     push = at_sample @ system.B[:, columns].T
-    Phi, Gamma = loop.held(loop.step or 0.0)
+    Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
     if P > 1:  # what disturbances do as they change within the period
         more, into = np.zeros_like(push[..., :n]), Gamma[:, columns[outside]].T
         for i in range(1, P):
@@ -240,7 +240,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     steps[..., 0, :n], steps[..., n + m :] = states[..., :n], by_step
     into = np.hstack([Phi, Gamma[:, acting]]).T
     for i, late in enumerate(lates):
-        steps[..., i, n : n + m] = _delayed(computed, late)
+        steps[..., i, n : n + m] = _delay_forces(computed, late)
         if i + 1 < P:
             steps[..., i + 1, :n] = steps[..., i, :] @ into
     of_plant = [row if row < len(plant.outputs) else 0 for row in rows]
@@ -283,7 +283,7 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
         C, outside = np.linalg.solve(loops, np.broadcast_to(C, (len(z), m, n))), np.linalg.solve(loops, outside)
     push = system.B[:n, columns] @ d + G @ outside.astype(complex)
     if len(loop.by_step) > 1:  # beyond disturbances that are held over the period
-        Phi, Gamma = loop.held(loop.step or 0.0)
+        Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
         change, more, turn = Gamma[:, columns] @ d, np.zeros_like(push[:, : len(loop.plant.A)]), _turn(loop, omega)
         for i in range(1, len(loop.by_step)):
             more = Phi @ more + (turn**i - 1) * change
@@ -303,7 +303,7 @@ def _by_step(
     """Returns the plant from forces and driven disturbances, and over exp(j omega t): its states and forces by step, and d."""
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
-    (Phi, Gamma), m, turn = loop.held(loop.step or 0.0), len(loop.forces), _turn(loop, omega)
+    (Phi, Gamma), m, turn = loop.hold_matrices(loop.step or 0.0), len(loop.forces), _turn(loop, omega)
     x, steps, acting = states[:, : len(Phi)], [], []
     for i, late in enumerate(loop.by_step):
         u = forces / (turn**i * z**late)
@@ -358,7 +358,7 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     return np.stack([*values, values[0] * turn ** len(u)]), np.stack(jumps)
 
 
-def _delayed(forces: Array, samples: int) -> Array:
+def _delay_forces(forces: Array, samples: int) -> Array:
     """Returns forces of shape (..., K, m) so many samples later, from 0."""
     count = forces.shape[-2]
     return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)

@@ -26,7 +26,7 @@ class NormalisedPlant:
         plant: n states, m inputs that are independent, numbers of size one; so time, w and z have units of its own, too. [Cy Dyw]
             has k orthonormal rows.
         norm: value in these units of a norm of one in the given units.
-        kept: indices of the given measurements that do not follow from earlier ones.
+        independent_rows: indices of the given measurements that do not follow from earlier ones.
         q: number of given measurements.
         units: units of states and inputs.
         rate: rate of the time scale [rad/s].
@@ -36,7 +36,7 @@ class NormalisedPlant:
 
     plant: Plant
     norm: float
-    kept: Sequence[int]
+    independent_rows: Sequence[int]
     q: int
     units: OwnUnits
     rate: float
@@ -68,17 +68,17 @@ class NormalisedPlant:
             Dw=own.Dw * (z * w),
         )
         rows = np.hstack([own.Cy, own.Dyw * w])
-        kept = independent(rows)
-        V, S = orthonormal_rows(rows[kept])
+        independent_rows = independent(rows)
+        V, S = orthonormal_rows(rows[independent_rows])
         n = len(plant.A)
-        return cls(replace(scaled, Cy=V[:, :n], Dyw=V[:, n:]), z * w, kept, len(rows), units, rate, u * W, S)
+        return cls(replace(scaled, Cy=V[:, :n], Dyw=V[:, n:]), z * w, independent_rows, len(rows), units, rate, u * W, S)
 
     @cached_property
     def from_given(self) -> Array:
         """The measurements of this plant from the given ones, shape (k, q)."""
-        from_y = np.zeros((len(self.kept), self.q))
+        from_y = np.zeros((len(self.independent_rows), self.q))
         # Row by row: pivots would depend on units.
-        from_y[:, self.kept] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
+        from_y[:, self.independent_rows] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
         return from_y
 
     def back(self, law: LinearLaw) -> LinearLaw:

@@ -96,7 +96,7 @@ class StateSpace:
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
-    def held(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
+    def hold_matrices(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
         """Returns Phi and Gamma of a duration [s] with held inputs: they take states and inputs to the states at its end.
 
         Args:

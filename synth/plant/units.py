@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
 NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
-CANCELLED = 1e-9  # relative to its terms; a smaller sum may be zero
+CANCELLED_SUM = 1e-9  # relative to its terms; a smaller sum may be zero
 TOGETHER = 1e-4  # weight of the equations that give all of w one unit, and all of z one
 OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
 FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
@@ -189,7 +189,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
 def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
     # The sum of all squared poles, beside what it is a sum of: no unit changes either.
-    if abs(np.sum(A * A.T)) <= CANCELLED * np.sum(np.abs(A * A.T)):
+    if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
         own = own_units(plant)
         if are_integrators(own.into(plant).A):
             return own.rate, False

@@ -12,7 +12,7 @@ from synth.analysis.record import SAME, VEHICLE
 from synth.controller.controller import verify_record
 from synth.controller.problem import problem
 
-CHANGED = "the vehicle is no longer the one that was certified: "
+CHANGED_VEHICLE = "the vehicle is no longer the one that was certified: "
 
 
 def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
@@ -39,10 +39,10 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
     if not isinstance(then, Mapping):  # saved by an earlier version
         with suppress(InputError):
             if payload and not verify_record(problem(unladen, entry.measured, entry.hardware), entry)[1]:
-                return f"{CHANGED}{payload[0]}"
+                return f"{CHANGED_VEHICLE}{payload[0]}"
         return ""
     changes = min(payload + _differences(unladen, then), _differences(vehicle, then), key=len)
-    return f"{CHANGED}{', '.join(changes)}" if changes else ""
+    return f"{CHANGED_VEHICLE}{', '.join(changes)}" if changes else ""
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:

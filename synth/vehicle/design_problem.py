@@ -30,11 +30,11 @@ STATE_ALONE = (
 )
 
 
-def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound") -> DesignProblem:
+def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound") -> DesignProblem:
     """Returns the design problem of a section, without goals.
 
     Args:
-        posed: plant and measurements for which the controller is certified.
+        plant_problem: plant and measurements for which the controller is certified.
         lower_bound: lower bound for any controller from these measurements.
 
     Raises:
@@ -44,13 +44,17 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     request = entry.request
     by_force = request.structure is not None and request.structure.rows is not None
     problem = DesignProblem(
-        plant=posed.plant if by_force else posed.plant.without_feedthrough if request.two_steps else posed.of_states,
+        plant=plant_problem.plant
+        if by_force
+        else plant_problem.plant.without_feedthrough
+        if request.two_steps
+        else plant_problem.of_states,
         order="full" if request.design == FULL else "static",
         structure=request.structure,
         design=request.design if request.design != FULL else "",
         stable=request.stable,
         fastest_pole=request.fastest_pole,
-        noise=white_noise(vehicle, entry, posed),
+        noise=white_noise(vehicle, entry, plant_problem),
         preview=request.preview,
         alternatives=False,
         thorough=False,
@@ -58,10 +62,10 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
         states=plant_states(vehicle, entry.hardware.bandwidth),
     )
     if not (request.two_steps or by_force or request.sampled):  # a sampled loop has the readings as they are
-        problem = replace(problem, as_run=partial(on_readings, posed=posed))
+        problem = replace(problem, as_run=partial(on_readings, problem=plant_problem))
     if request.sampled:
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
-        near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(posed, lower_bound)
+        near, certify = lower_bound.gamma or 1.0, certify_ideal_loop(plant_problem, lower_bound)
         return replace(
             problem,
             sampled=FEATURES.load("norm as implemented").held_problem(vehicle, entry),
@@ -72,7 +76,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     if entry.errors is not None:
         weighted_errors = FEATURES.load("weighted errors")
         if weighted_errors.is_robust_design(entry):
-            ideal = certify_ideal_loop(posed, lower_bound)
+            ideal = certify_ideal_loop(plant_problem, lower_bound)
             errors, as_run = weighted_errors.structured_plant(vehicle, entry, entry.errors), problem.as_run
             return replace(problem, errors=errors, certify=lambda law: ideal(as_run(law)))
     if request.design == PREVIEW:
@@ -86,14 +90,14 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, posed: Problem, low
     return problem
 
 
-def certify_ideal_loop(posed: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
+def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
     """Returns a function that certifies the ideal loop of a law on the readings."""
     from synth.analysis.bounding import certify_tightly
 
-    return lambda law: certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
+    return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 
-def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
+def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:
     """Returns the noise of each measurement that depends on the state, for LQG; None without noise.
 
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
@@ -109,13 +113,13 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
             "LQG uses white noise of intensity rms times sqrt(sample_period), but [implementation] has noise without "
             "sample_period; give both, or neither"
         )
-    rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
-    levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
+    rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(problem.measured_integrals)
+    levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in problem.state_measurements]
     return levels if any(levels) else None
 
 
 def controller_of(
-    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, problem: DesignProblem, result: DesignResult
+    vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, problem: DesignProblem, result: DesignResult
 ) -> Controller:
     """Returns the controller of a result, with its law on the readings of sensors."""
     law, remarks = problem.as_run(result.law), result.remarks
@@ -128,10 +132,10 @@ def controller_of(
         more = {"remarks": (remarks,), "sampled": True, "redundant": redundant, "fallback_method": instead}
         return Controller.of(entry, replace(law, anti_windup=entry.request.anti_windup), result.certificate, **more)
     if entry.request.two_steps:
-        beside = STATE_ALONE if entry.name == "state" and len(posed.plant.Cy) < len(posed.plant.A) else ""
+        beside = STATE_ALONE if entry.name == "state" and len(plant_problem.plant.Cy) < len(plant_problem.plant.A) else ""
         return Controller.of(
             entry,
-            posed.on_readings(static_law(posed.plant.on_readings(result.gain))),
+            plant_problem.on_readings(static_law(plant_problem.plant.on_readings(result.gain))),
             result.certificate,
             steps=result,
             redundant=redundant,

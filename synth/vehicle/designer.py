@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, validated
+from models.common.checks import AT_LEAST_ONE, check_arguments
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.laws.combinations import check_command, goes
@@ -95,7 +95,7 @@ class Designer:
     With `search` given gains are compared with each vehicle's own best, too, which takes designs (`verify_specifications`).
     """
 
-    @validated
+    @check_arguments
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
@@ -104,7 +104,7 @@ class Designer:
 
     def __repr__(self) -> str:
         """Returns the kind and the file of its vehicle."""
-        return f"Designer of {self.vehicle.shown.title}"
+        return f"Designer of {self.vehicle.summary.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
@@ -160,7 +160,7 @@ class Designer:
             )
         return self._sampled_bounds[key]
 
-    @validated
+    @check_arguments
     def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
@@ -198,45 +198,47 @@ class Designer:
             return self._given(entry, entry.law)
         if zero_l:
             check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
-        posed = self.problem(entry.measured, entry.hardware)
+        plant_problem = self.problem(entry.measured, entry.hardware)
         try:
             lower_bound = self._later_bound(entry)
             if entry.goals is not None:
-                return FEATURES.load("goals").goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
-            problem = self.design_problem(entry, posed, lower_bound, "zero_l" if zero_l else "")
-            return controller_of(self.vehicle, entry, posed, problem, design_for(problem, on_progress))
+                return FEATURES.load("goals").goals_design(
+                    self.vehicle, entry, entry.goals, plant_problem, lower_bound, on_progress
+                )
+            problem = self.design_problem(entry, plant_problem, lower_bound, "zero_l" if zero_l else "")
+            return controller_of(self.vehicle, entry, plant_problem, problem, design_for(problem, on_progress))
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def design_problem(
-        self, entry: ControllerEntry, posed: Problem, lower_bound: "LowerBound", method: str = ""
+        self, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound", method: str = ""
     ) -> DesignProblem:
         """Returns the design problem of a section without goals.
 
         Args:
-            posed: plant and measurements that the controller is judged with.
+            plant_problem: plant and measurements that the controller is judged with.
             lower_bound: lower bound for any controller from these measurements.
             method: the only method to use; by default those that the problem leads to.
         """
-        problem, shared = design_problem(self.vehicle, entry, posed, lower_bound), self.shared(entry.hardware)
+        problem, shared = design_problem(self.vehicle, entry, plant_problem, lower_bound), self.shared(entry.hardware)
         if entry.request.two_steps:
             problem = replace(problem, path=lambda: shared.state_path)
         if entry.request.sampled and not entry.request.two_steps:
             return replace(problem, sampled_bound=self._sampled_bound(entry))
         if entry.request.sampled:
             continuous = replace(entry, source=replace(entry.request, sampled=False))
-            ideal = self.design_problem(continuous, posed, lower_bound)
+            ideal = self.design_problem(continuous, plant_problem, lower_bound)
             with contextlib.suppress(DesignError):
-                law = controller_of(self.vehicle, continuous, posed, ideal, design_for(ideal)).law
+                law = controller_of(self.vehicle, continuous, plant_problem, ideal, design_for(ideal)).law
                 problem = replace(problem, known=(law,))
             return problem
         if method == "zero_l":
-            return replace(problem, plant=posed.plant, method=method)
-        if entry.name == "state" and len(posed.plant.Cy) == len(posed.plant.A):
+            return replace(problem, plant=plant_problem.plant, method=method)
+        if entry.name == "state" and len(plant_problem.plant.Cy) == len(plant_problem.plant.A):
             return replace(problem, plant=self.plant.measured(np.eye(len(self.plant.A))), method="state")
         return problem
 
-    @validated
+    @check_arguments
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
         """Certifies a known law from measurements to forces under any name, unchanged.
 
@@ -249,9 +251,9 @@ class Designer:
         return self._given(ControllerEntry(name, tuple(measured), law, hardware=hardware), law)
 
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
-        posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
+        problem, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
         try:
-            certificate, wrong = certify_law(posed, entry, self._later_bound(entry))
+            certificate, wrong = certify_law(problem, entry, self._later_bound(entry))
         except InputError as error:
             raise self.vehicle.located(error) from error
         controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
@@ -274,7 +276,7 @@ class Designer:
             )
         return replace(controller, false_claims=wrong)
 
-    @validated
+    @check_arguments
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
 
@@ -296,10 +298,10 @@ class Designer:
             start = self.design(name, zero_l)
         except DesignError:
             start = None
-        posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
+        problem, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
         if entry.request.sampled and start is None:
             self.design(name)  # raises the reason
-        return FEATURES.load("refinement").refined(self.vehicle, entry, posed, start, lower_bound)
+        return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""

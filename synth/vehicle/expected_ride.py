@@ -25,13 +25,13 @@ from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.loop_of import driven, loop_of
+from synth.controller.loop_of import loop_of, road_inputs
 from synth.plant.loop import frequency_response
 from synth.plant.quadrature import sample_band
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
 METHOD = "statistical linearisation"  # of a vehicle with curves
-WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
+WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
 @one_thread()
@@ -53,7 +53,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
         if line is None:
             return None
         vehicle = line.vehicle
-    ride = _deviations(vehicle, controller, felt, WEIGHTED)
+    ride = _deviations(vehicle, controller, felt, WEIGHTING_FILTER)
     return None if ride is None else float(ride.max())
 
 
@@ -79,7 +79,7 @@ def _deviations(
 
     def spectra(omega: Array) -> Array:
         """Returns the spectra of the signals over the road's, shape (F, k)."""
-        response = frequency_response(loop, signals, driven(model, controller, omega), omega)
+        response = frequency_response(loop, signals, road_inputs(model, controller, omega), omega)
         amplitude = response @ sources(vehicle, road, omega)
         if weighting is not None:
             amplitude = weighting.response(omega)[:, None, None] * amplitude

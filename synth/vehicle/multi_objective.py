@@ -66,26 +66,26 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
     energies = [(where, bound) for where, bound in bounded if isinstance(bound, EnergyBound)]
     members = tuple(
         FamilyMember(
-            tuple(_posed(each, entry, norm) for norm in norms),
-            tuple(_driven(each, entry, bound, road) for bound, road in peaks),
-            tuple(_signal(where, weighing(each, goals.minimise), entry, bound) for where, bound in energies),
+            tuple(_with_norm(each, entry, norm) for norm in norms),
+            tuple(_on_road_of_bound(each, entry, bound, road) for bound, road in peaks),
+            tuple(_signal(where, with_outputs_of_norm(each, goals.minimise), entry, bound) for where, bound in energies),
         )
         for each in vehicles
     )
     return posed_goals(goals, members, entry.measured, vehicle.linear_model.inputs)
 
 
-def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
+def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
     """The vehicle whose z is that of a norm."""
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
-def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
+def _with_norm(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
     """A vehicle with the z of a norm."""
-    return problem(weighing(vehicle, norm), entry.measured, entry.hardware).plant
+    return problem(with_outputs_of_norm(vehicle, norm), entry.measured, entry.hardware).plant
 
 
-def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
+def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
     """A vehicle on the road of a bound."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
@@ -166,12 +166,12 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
 
 
 def goals_design(
-    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Progress
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, plant_problem: Problem, lower_bound: LowerBound, on_progress: Progress
 ) -> Controller:
     """The controller of a section with goals.
 
     Args:
-        posed: the problem of its certificate: z of `[performance]` at all frequencies.
+        plant_problem: the problem of its certificate: z of `[performance]` at all frequencies.
         on_progress: callback that receives the progress of the search.
 
     Raises:
@@ -180,8 +180,8 @@ def goals_design(
     problem = goal_problem(vehicle, entry, goals)
     # Said of every family, minimised where that is asked for.
     bests = with_individual_optima(problem) if goals.family else problem
-    certify = certify_ideal_loop(posed, lower_bound)
-    asked = DesignProblem(posed.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
+    certify = certify_ideal_loop(plant_problem, lower_bound)
+    asked = DesignProblem(plant_problem.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
     design = design_for(asked, on_progress)
     law, certificate, said = design.law, design.certificate, [*design.remarks]
     if goals.minimise.narrow and not any(isinstance(bound, NormBound) and not bound.narrow for bound in goals.bounds):

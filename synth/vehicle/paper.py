@@ -32,7 +32,7 @@ EXACT = ""
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedNumber:
     """A number of the paper.
 
     Attributes:
@@ -78,8 +78,8 @@ _RESULTS = (
     ("(59)", "G_II", 1e-1, [[NOT, NOT, -8.9703e3, NOT]], [(0, 2)]),
     ("(60)", "gamma_GII", 1e-4, 7.9068, []),
 )
-PRINTED = tuple(
-    Printed(equation, quantity, entry or None, float(value), digit, SHORT if entry in short else EXACT)
+PRINTED_NUMBERS = tuple(
+    PrintedNumber(equation, quantity, entry or None, float(value), digit, SHORT if entry in short else EXACT)
     for equation, quantity, digit, values, short in _RESULTS
     for entry, value in np.ndenumerate(values)
     if not np.isnan(value)

@@ -38,13 +38,13 @@ class RefinedController:
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
 
 
-def refined(
-    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, start: Controller | None, lower_bound: LowerBound
+def refine_controller(
+    vehicle: Vehicle, entry: ControllerEntry, problem: Problem, start: Controller | None, lower_bound: LowerBound
 ) -> RefinedController:
     """Returns the controller of an entry with a lower norm.
 
     Args:
-        posed: the problem that it is judged with.
+        problem: the problem that it is judged with.
         start: the controller to refine; None if the two steps find no gain: then the best result of other starts is returned.
 
     Raises:
@@ -57,37 +57,37 @@ def refined(
 
         refinement = refined_further(held_problem(vehicle, entry), start.law.D, lower_bound.gamma or 1.0)
         gain, remarks = static_law(refinement.gain), ("designed and refined for the sampled loop",)
-        certificate = certify_ideal_loop(posed, lower_bound)(gain)
+        certificate = certify_ideal_loop(problem, lower_bound)(gain)
         controller = Controller.of(entry, gain, certificate, remarks=remarks, sampled=True, redundant=start.redundant)
         return RefinedController(controller, start, "", refinement)
-    rows, origin = independent_rows(posed.plant), ""
-    independent = posed.plant.rows(rows).without_feedthrough
+    rows, origin = independent_rows(problem.plant), ""
+    independent = problem.plant.rows(rows).without_feedthrough
     if start is None:
         from synth.design.static import static_output_feedback
 
         static = static_output_feedback(independent, lower_bound=lower_bound)
         K, origin = static.gain, static.origin
     else:
-        K = _gain(vehicle, start, posed, rows)
+        K = _gain(vehicle, start, problem, rows)
     refinement = refine(independent, None, K)
     gain = np.zeros((len(K), len(entry.measured)))
     gain[:, rows] = refinement.gain
     certificate = certify_law(independent, static_law(refinement.gain), lower_bound)
-    law = static_law(posed.plant.on_readings(gain))
+    law = static_law(problem.plant.on_readings(gain))
     return RefinedController(Controller.of(entry, law, certificate), start, origin, refinement)
 
 
-def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
+def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
     """Returns the relative decrease of a stable controller's norm that refining reaches at least; 0 below seven digits."""
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
-    rows = independent_rows(posed.plant)
-    independent = posed.plant.rows(rows).without_feedthrough
-    share = worth_refining(independent, _gain(vehicle, controller, posed, rows))
+    rows = independent_rows(problem.plant)
+    independent = problem.plant.rows(rows).without_feedthrough
+    share = worth_refining(independent, _gain(vehicle, controller, problem, rows))
     return share if share > SEEN else 0.0
 
 
-def _gain(vehicle: Vehicle, controller: Controller, posed: Problem, kept: list[int]) -> Array:
+def _gain(vehicle: Vehicle, controller: Controller, problem: Problem, kept: list[int]) -> Array:
     """Returns the controller's gain on the independent measurements, shape (m, len(kept))."""
-    return from_some(controller.law_on_states(vehicle).D, posed.plant.Cy, kept)
+    return from_some(controller.law_on_states(vehicle).D, problem.plant.Cy, kept)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL, read_controllers
 from models.vehicle.vehicle import Vehicle
@@ -19,7 +19,7 @@ from synth.vehicle.designer import certify_given
 if TYPE_CHECKING:
     import control
 
-NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that nobody named
+UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that nobody named
 
 
 def from_state_space(
@@ -58,14 +58,14 @@ def from_state_space(
     ):
         for name in expected:
             if name not in there:
-                raise InputError(f"unknown {what} {name!r}; the system has {listing(there)}")
+                raise InputError(f"unknown {what} {name!r}; the system has {list_names(there)}")
     if not disturbances:
-        raise InputError(f"no disturbance is named; give at least one of the inputs {listing(inputs)}")
+        raise InputError(f"no disturbance is named; give at least one of the inputs {list_names(inputs)}")
     weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
     if not weights:
-        raise InputError(f"the weights are all zero; give at least one weight to the outputs {listing(outputs)}")
+        raise InputError(f"the weights are all zero; give at least one weight to the outputs {list_names(outputs)}")
     if not measured:
-        raise InputError(f"nothing is measured; give at least one of the outputs {listing(outputs)}")
+        raise InputError(f"nothing is measured; give at least one of the outputs {list_names(outputs)}")
     w = [inputs.index(name) for name in disturbances]
     u = [i for i in range(len(inputs)) if i not in w]
     z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]
@@ -81,7 +81,7 @@ def _matrices(system: Any) -> list[Array]:
     try:
         return [np.asarray(getattr(system, matrix)) for matrix in "ABCD"]
     except AttributeError as error:
-        raise InputError(f"system = {quoted(system)} has no A, B, C and D; give a state-space system") from error
+        raise InputError(f"system = {short_repr(system)} has no A, B, C and D; give a state-space system") from error
 
 
 def _sample_period(system: Any) -> float | None:
@@ -170,11 +170,11 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
     """The places of names among a system's inputs or outputs; as they come, where it has no names for them."""
     given_names = list(getattr(system, labels, None) or names)
-    if all(NUMBERED.fullmatch(label) for label in given_names):
+    if all(UNNAMED_SIGNAL.fullmatch(label) for label in given_names):
         return list(range(len(names)))
     if sorted(given_names) != sorted(names):
         raise InputError(
-            f"the system has the {labels.replace('_', ' ')} {listing(given_names)}; expected {listing(names)}, in any order"
+            f"the system has the {labels.replace('_', ' ')} {list_names(given_names)}; expected {list_names(names)}, in any order"
         )
     return [given_names.index(name) for name in names]
 
@@ -220,7 +220,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
     from control import StateSpace, ss
 
     judged, hardware = controller.problem(vehicle).judged(controller.law), controller.hardware
-    loop, heights = judged.loop, [wheel.road_displacement for wheel in vehicle.kind.wheels] if judged.lasting else []
+    loop, heights = judged.loop, [wheel.road_displacement for wheel in vehicle.kind.wheels] if judged.with_road_heights else []
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
     loads = [f"load[{name}]" for name, _ in hardware.loads]

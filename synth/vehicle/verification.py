@@ -140,25 +140,25 @@ class Verification:
     def worst_of(self, i: int, spec: NormSpecification) -> WorstNorm:
         """The norm of a member at all frequencies, or behind the filter of a band, with the worst errors."""
         tolerance, enough = self.asked.tolerance, spec.at_most if np.isfinite(spec.at_most) else None
-        posed = in_band(self.asked.members[i].posed[spec.which], spec.band)
-        return worst_norm(posed, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
+        problem = in_band(self.asked.members[i].posed[spec.which], spec.band)
+        return worst_norm(problem, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
 
     def worst_in_band(self, i: int, spec: NormSpecification) -> WorstNorm:
         """The norm of a member in a band with the worst errors, proved by multipliers, or else behind a filter."""
-        posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
+        problem, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
         best = self.asked.bests[i] if spec is self.asked.minimise and self.asked.bests is not None else 1.0
         tried = [worst_of_norm(self.asked, i, spec, best, self.K)[1], self.asked.no_errors]
-        unit = max(_norm(each.on(posed), self.K, spec)[0] for each in tried)
-        gain, proof = scaled_gain(posed, self.K), None
+        unit = max(_norm(each.on(problem), self.K, spec)[0] for each in tried)
+        gain, proof = scaled_gain(problem, self.K), None
         box = box_of(gain, tolerance.sensors, tolerance.forces)
-        if posed.dt is None and stable_in_box(gain, box) is not None:
+        if problem.dt is None and stable_in_box(gain, box) is not None:
             proof = bound_in_band(gain, box, *spec.band, unit * (1 + NEAR))
         if proof is None or proof.bound > unit * (1 + CLOSE):  # the norm behind the filter is at least that in the band
             behind = self.worst_of(i, spec)
             tried = [GainErrors(behind.readings, behind.forces), *tried]
             if proof is None or behind.proved < proof.bound:
                 proof = behind.proof
-        values = [_norm(each.on(posed), self.K, spec)[0] for each in tried]
+        values = [_norm(each.on(problem), self.K, spec)[0] for each in tried]
         worst = tried[int(np.argmax(values))]
         return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
@@ -173,7 +173,7 @@ class Verification:
         for i, member in enumerate(self.asked.members):
             beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
             rates.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
-            moved = _moved(member.posed[0], rate)
+            moved = _shifted_plant(member.posed[0], rate)
             proofs.append(stable_with_errors(moved, self.K, tolerance.sensors, tolerance.forces) if beyond < 1 else None)
         of = [(each, -rate if proof is not None else np.inf) for each, proof in zip(rates, proofs, strict=True)]
         return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
@@ -182,9 +182,9 @@ class Verification:
         """The largest magnitude of a signal for all roads of given energy."""
         of = []
         for member in self.asked.members:
-            posed, signal = member.posed[self.asked.minimise.which], member.signals[which]
+            problem, signal = member.posed[self.asked.minimise.which], member.signals[which]
             try:
-                peaks = energy_peaks(posed, posed.acting(self.K) @ posed.Cy, signal.c[None], signal.g[None])
+                peaks = energy_peaks(problem, problem.acting(self.K) @ problem.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
             except DesignError:  # unstable
                 of.append((np.inf, np.inf))
@@ -199,25 +199,25 @@ class Verification:
         return self.most(f"largest {bound.peak} over {bound.road}", values, bound.at_most, unit, at)
 
 
-def _norm(posed: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
+def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
     """Returns the norm in the band, a proved bound, and its frequency; infinite if the loop is unstable."""
-    norm = norm_in_band(_loop(posed, K), *spec.band)
+    norm = norm_in_band(_loop(plant, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
     return norm.value, norm.level, norm.peak_frequency
 
 
-def _moved(posed: Plant, rate: float) -> Plant:
+def _shifted_plant(plant: Plant, rate: float) -> Plant:
     """Returns the plant without its filters, shifted: its loops are stable if those of this one decay faster than a rate."""
-    alone = posed.without_weighting
+    alone = plant.without_weighting
     return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))
 
 
-def _slowest(posed: Plant, K: Array) -> float:
+def _slowest(plant: Plant, K: Array) -> float:
     """The largest real part of a pole of a loop; filters' own do not count."""
-    own = len(posed.A) - posed.weights
-    return max(float(np.real(pole)) for pole in stability(_loop(posed, K).A[:own, :own]).poles)
+    own = len(plant.A) - plant.weights
+    return max(float(np.real(pole)) for pole in stability(_loop(plant, K).A[:own, :own]).poles)
 
 
-def _loop(posed: Plant, K: Array) -> Plant:
-    return posed.closed(static_law(K))
+def _loop(plant: Plant, K: Array) -> Plant:
+    return plant.closed(static_law(K))

@@ -24,7 +24,7 @@ from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredP
 from synth.design.uncertainty.structured_perturbation import worst_errors
 from synth.plant.state_space import StateSpace
 
-SAMPLED = "robust stability and performance (mu) are those of the continuous loop, not of the sampled one"
+CONTINUOUS_LOOP_REMARK = "robust stability and performance (mu) are those of the continuous loop, not of the sampled one"
 
 
 def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
@@ -33,7 +33,7 @@ def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedEr
         return controller
     loop = structured_plant(vehicle, controller, errors).closed_by(controller.law.continuous())
     promises = (_robust(ROBUST_PERFORMANCE, loop, None), _robust(ROBUST_STABILITY, loop.of_errors, 1.0))
-    said = () if vehicle.implementation.undelayed else (SAMPLED,)
+    said = () if vehicle.implementation.undelayed else (CONTINUOUS_LOOP_REMARK,)
     return replace(controller, specifications=(*controller.specifications, *promises), remarks=(*controller.remarks, *said))
 
 
@@ -57,11 +57,11 @@ def is_robust_design(entry: ControllerEntry) -> bool:
 
 def structured_plant(vehicle: Vehicle, controller: Controller | ControllerEntry, errors: WeightedErrors) -> StructuredPlant:
     """Returns the plant of a controller from [w; p; u] to [z; q; y], see `StructuredPlant`."""
-    posed, inputs = problem(vehicle, controller.measured, controller.hardware), vehicle.linear_model.inputs
+    plant_problem, inputs = problem(vehicle, controller.measured, controller.hardware), vehicle.linear_model.inputs
     weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
-    of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, posed.plant.B.shape, posed.plant.D.shape)
+    of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, plant_problem.plant.B.shape, plant_problem.plant.D.shape)
     systems = _systems(weights[0]), _systems(weights[1])
-    return plant_with_errors(posed.plant, of_errors, systems)
+    return plant_with_errors(plant_problem.plant, of_errors, systems)
 
 
 def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:

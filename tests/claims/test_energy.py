@@ -158,7 +158,7 @@ def test_a_wrong_mass_or_spring_of_the_compiled_model_shows(kind, options):
     assert found(lambda spec: None).balances
     assert len(faults) >= {"quarter_car": 3, "half_car": 6, "full_car": 11}[kind]
     for fault in (*faults, added_body, rotor):
-        assert "DOES NOT BALANCE" in found(fault).shown.title
+        assert "DOES NOT BALANCE" in found(fault).summary.title
 
 
 @pytest.mark.parametrize(("kind", "make"), [*((kind, with_parameters) for kind in KINDS), ("half_car", without_springs)])

@@ -10,7 +10,7 @@ from models.roads.rig import Rig
 from models.roads.road import under_wheels
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.eusama import DISPUTED, RECORD, Plate, load_failures, minimum_loads
+from sim.studies.frequency.eusama import DISPUTED_LIMIT, RECORD, Plate, load_failures, minimum_loads
 from sim.studies.frequency.report import workshop
 from sim.studies.frequency.sweep import sweep
 from synth.vehicle.designer import design
@@ -159,4 +159,4 @@ def test_the_document_names_the_end_and_the_dispute():
         ((controller, tyre, _, _, _, end),) = document.tables[0].rows
         assert (controller, tyre, end) == ("passive", "tyre deflection", ended)
         assert (found.loads[0].ratio == 0) == (ended != "-")
-        assert DISPUTED in document.statements[0].text
+        assert DISPUTED_LIMIT in document.statements[0].text

@@ -16,7 +16,7 @@ from sim.campaign import __main__ as campaign
 from synth.__main__ import main as synth
 from synth.analysis.certificate import certify
 from synth.analysis.record import false_claims, to_record
-from synth.command.check import UNPROVED, check, proved
+from synth.command.check import UNPROVED_BOUND, check, prove_controller
 from synth.command.save import save
 from synth.controller.controller import Controller
 from synth.plant.generalized import GeneralizedPlant
@@ -168,7 +168,7 @@ def law_of(vehicle: Vehicle, states: int, period: float | None = None) -> Linear
 
 def with_a_bound(vehicle: Vehicle, law: LinearLaw) -> Controller:
     """A law on what is measured, with the bound that `--prove` finds."""
-    found, said = proved(Designer(vehicle), certify_given(vehicle, "mine", ACCELERATIONS[vehicle.kind.name], law))
+    found, said = prove_controller(Designer(vehicle), certify_given(vehicle, "mine", ACCELERATIONS[vehicle.kind.name], law))
     assert said
     certificate = found.certificate
     assert certificate.bound is not None
@@ -274,11 +274,11 @@ def test_a_given_law_has_a_close_bound_when_asked(vehicle, name, capsys):
 def test_what_is_designed_unstable_or_cannot_be_proved_is_as_it_was(paper, designer, monkeypatch):
     """A designed law keeps its own proof; an unstable loop, and one for which no X is found, have none, and the notes say so."""
     designed = designer.design("I")
-    assert proved(designer, designed) == (designed, ())
+    assert prove_controller(designer, designed) == (designed, ())
     wild, calm = (certify_given(paper, "mine", ("sprung_velocity",), static_law(np.array([[k]]))) for k in (9000.0, -9000.0))
-    assert proved(designer, wild) == (wild, ())
+    assert prove_controller(designer, wild) == (wild, ())
     monkeypatch.setattr("synth.command.check.certify_tightly", lambda *_: calm.certificate)
-    assert proved(designer, calm) == (calm, (UNPROVED,))
+    assert prove_controller(designer, calm) == (calm, (UNPROVED_BOUND,))
 
 
 # --- the commands ----------------------------------------------------------------------------------------------------------

@@ -112,7 +112,7 @@ def changed(run: Run, clean: Run) -> bool:
 
 def clipped(clean: Run, signal: str) -> Fault:
     """A fault of a sensor: it reads the signal only up to half of its largest value."""
-    names, (_, readout) = clean.vehicle.linear_model.outputs, sensor_readout.prepared(clean.vehicle, 1e-3)
+    names, (_, readout) = clean.vehicle.linear_model.outputs, sensor_readout.prepared_readout(clean.vehicle, 1e-3)
     most = abs(readout.rest[names.index(signal)]) + 0.5 * float(np.abs(clean.physics[signal]).max())
 
     def fault(spec):

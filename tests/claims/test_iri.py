@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import (
-    COUNTED,
+    COUNTED_LINES,
     SPEED,
     STEP,
     A,
@@ -163,7 +163,7 @@ def test_tracks_that_coincide():
 def test_start():
     """The cost of the car's start is that of lines of any phase, a cosine and a sine each; 0.95 m of white slopes."""
     lines, variances, x = np.array([10, 56, 2400]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
-    n = lines / COUNTED
+    n = lines / COUNTED_LINES
     square = np.zeros(len(x) - 10)
     for each, variance in zip(n, variances, strict=True):
         for wave in (np.sin, np.cos):

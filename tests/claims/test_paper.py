@@ -10,7 +10,7 @@ from synth.design.two_step import nullspace
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import NoSolutionError
-from synth.vehicle.paper import BOX, CY, PRINTED, TO_RELATIVE, absolute_states, entry_of, ours, remark_4, remark_5
+from synth.vehicle.paper import BOX, CY, PRINTED_NUMBERS, TO_RELATIVE, absolute_states, entry_of, ours, remark_4, remark_5
 
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
 # small numbers, one unit of the last printed digit.
@@ -22,7 +22,7 @@ def found(designer):
     return ours(designer)
 
 
-@pytest.mark.parametrize("row", PRINTED, ids=lambda row: f"{row.equation}-{row.quantity}-{row.entry}")
+@pytest.mark.parametrize("row", PRINTED_NUMBERS, ids=lambda row: f"{row.equation}-{row.quantity}-{row.entry}")
 def test_printed_number(found, row):
     """The paper's number, to every digit it printed, or a reason and a bound on the difference."""
     value = entry_of(found[row.quantity], row.entry)

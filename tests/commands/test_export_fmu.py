@@ -22,7 +22,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.export import fmu
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
-from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
+from synth.controller.export.fmu import HERE, ZIG, _universal, zip_files
 from synth.controller.export.fmu_description import BASE
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.plant.state_space import StateSpace
@@ -487,7 +487,7 @@ def test_parts_of_a_universal_file_are_found():
         _, _, at, size, align = words[2 + 5 * i : 7 + 5 * i]
         assert at % 2**align == 0
         assert whole[at : at + size] == part
-    assert zipfile.ZipFile(io.BytesIO(zipped({"x": b"1"}))).read("x") == b"1"
+    assert zipfile.ZipFile(io.BytesIO(zip_files({"x": b"1"}))).read("x") == b"1"
 
 
 @pytest.mark.extra

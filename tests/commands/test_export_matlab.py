@@ -6,7 +6,7 @@ from scipy.io import loadmat
 
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.__main__ import main
-from synth.controller.export.matlab import RESERVED, mat_file
+from synth.controller.export.matlab import RESERVED_WORDS, mat_file
 from synth.vehicle.designer import Designer
 from tests.commands.test_export import BUILT, LAW
 from tests.support.commands import prose
@@ -67,7 +67,7 @@ def test_names_and_bytes(folder):
     """No struct has a name that MATLAB reserves, the script names them all, and the same content has the same bytes."""
     names = {name for name in loadmat(folder / "all.mat", simplify_cells=True) if not name.startswith("__")}
     assert names == {"vehicle", "I", "II", "state_printed", "I_printed", "II_printed", "law", "end_2"}
-    assert not names & RESERVED
+    assert not names & RESERVED_WORDS
     text = (folder / "all_ss.m").read_text()
     assert all(f"{name} = ss(file.{name}.A" in text for name in names - {"vehicle"})
     vehicle = read_vehicle("quarter_car")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.common.errors import LONGEST, LONGEST_VALUE, one_line, quoted
+from models.common.errors import LONGEST, LONGEST_VALUE, one_line, short_repr
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from tests.support.commands import refused
 
@@ -17,7 +17,7 @@ def test_one_line():
 @pytest.mark.parametrize("value", ["x" * 9000, np.ones((50, 50)), {"X": [[1.0] * 40] * 40}, 10**4000])
 def test_values(value):
     """A value of any size is quoted by its begin and its end."""
-    assert len(quoted(value)) <= LONGEST_VALUE
+    assert len(short_repr(value)) <= LONGEST_VALUE
 
 
 @pytest.mark.parametrize(

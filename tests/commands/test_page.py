@@ -17,11 +17,11 @@ import pytest
 
 from models.document.description import about
 from models.document.document import Document, Pivot, Table, notes
-from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, margined, rgb, styles, thinned
+from models.document.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, axis_ends, drawn_indices, rgb, styles
 from models.document.outputs import check_outputs
 from models.document.page import Page, render
 from models.document.picture import FONT, cells, panel_svg, ticks, write_picture
-from models.document.reading import aligned, notation, read, short_form, write_rows
+from models.document.reading import align_numbers, notation, read, short_form, write_rows
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.drive.regime import REGIME_ENDS
@@ -306,10 +306,10 @@ def test_ticks(log):
 
 def test_axes_hold_their_numbers():
     """An axis contains every number that is finite, with room, also if it is a single one."""
-    low, high = margined([np.array([3.0, np.nan, -2.0]), np.array([np.inf, 5.0])])
+    low, high = axis_ends([np.array([3.0, np.nan, -2.0]), np.array([np.inf, 5.0])])
     assert (low, high) == pytest.approx((-2.28, 5.28))
-    assert margined([np.full(3, 7.0)]) == pytest.approx((6.3, 7.7))
-    assert margined([]) == (0, 1)
+    assert axis_ends([np.full(3, 7.0)]) == pytest.approx((6.3, 7.7))
+    assert axis_ends([]) == (0, 1)
 
 
 def variables(block: str) -> dict[str, str]:
@@ -357,10 +357,10 @@ def test_page_can_be_read():
 
 def test_numbers_of_a_column_are_aligned():
     """Points are below each other, and every number has the digits that it has on a terminal."""
-    assert aligned(["15.37", "5.564", "0"]) == ["15.37\u2007", "5.564", "0\u2008\u2007\u2007\u2007"]
-    assert aligned(["0.0481*", "0.565", "0*"]) == ["0.0481*", "0.565\u2004\u2007", "0*\u2008" + 4 * "\u2007"]
-    assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "−1.2·10⁻⁷", "-"]
-    assert aligned(["12", "3.25", "none"]) == ["12", "3.25", "none"]
+    assert align_numbers(["15.37", "5.564", "0"]) == ["15.37\u2007", "5.564", "0\u2008\u2007\u2007\u2007"]
+    assert align_numbers(["0.0481*", "0.565", "0*"]) == ["0.0481*", "0.565\u2004\u2007", "0*\u2008" + 4 * "\u2007"]
+    assert align_numbers(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "−1.2·10⁻⁷", "-"]
+    assert align_numbers(["12", "3.25", "none"]) == ["12", "3.25", "none"]
 
 
 def test_one_notation():
@@ -408,12 +408,12 @@ def test_a_figure_in_words():
 def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
     """Of a line that is thinned the ends, the largest and the least are the whole line's, and so are the words."""
     y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
-    some = y[kept := thinned(y, every)]
+    some = y[kept := drawn_indices(y, every)]
     assert kept[[0, -1]].tolist() == [0, 500]
     assert (some.max(), some.min()) == (y.max(), y.min())
     assert len(some) <= len(y) / every + 4  # two of a block that is not whole, and both ends
     gone = np.where(np.arange(501) < 470, y, np.nan)  # a line that breaks off
-    assert np.nanmax(gone[thinned(gone, every)]) == np.nanmax(gone)
+    assert np.nanmax(gone[drawn_indices(gone, every)]) == np.nanmax(gone)
 
 
 def test_gains_are_matrices(designer):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from models.common.printed import LINES, WIDTH, Whole, command, fitted, percent, some_sentences, table, wrapped
+from models.common.printed import LINES, WIDTH, Whole, command, fit_lines, percent, some_sentences, table, wrap_text
 from models.vehicle.vehicle import read_vehicle
 from sim.__main__ import COMMANDS, VERBS
 from sim.inspect.log import read_log
@@ -206,7 +206,7 @@ def test_help_pages(name, monkeypatch, capsys):
         assert f"python -m {name} " in page(printed.strip().splitlines()[-1].partition(": ")[2])
     assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
     for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
-        assert wrapped(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
+        assert wrap_text(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
     examples = re.findall(r"^  ((?:python -m|roadproof) (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
     assert examples
     for words in (shlex.split(each.replace("\\\n", "")) for each in examples):
@@ -220,7 +220,7 @@ def test_sentences_keep_their_words():
         words = [draw.choice(("MuJoCo", "7.5 m/s", "-65 +- 3.2j", "a" * draw.randint(1, 30))) for _ in range(draw.randint(1, 60))]
         indent = " " * draw.randint(0, 8)
         text = indent + " ".join(words)
-        lines = fitted([text])
+        lines = fit_lines([text])
         assert " ".join(" ".join(lines).split()) == text.strip()
         assert max(map(len, lines)) <= WIDTH
         assert not any(line.endswith((" 7.5", "+-")) for line in lines)
@@ -244,7 +244,7 @@ def test_sentences_fill_a_terminal():
 def test_what_is_copied_is_not_cut():
     """A path that is marked so is one line, however long; a command goes on after a backslash, as a shell reads it."""
     path = Whole("  logs/" + "folder with spaces/" * 8)
-    assert fitted([path]) == wrapped(path) == [path]
+    assert fit_lines([path]) == wrap_text(path) == [path]
     words = ["python -m synth", "--vehicle half_car", *(f"--controller a_controller_{i}" for i in range(9)), "--refine"]
     lines = command(words)
     assert max(map(len, lines)) <= WIDTH

@@ -52,7 +52,7 @@ def test_stages_are_counted(monkeypatch):
 def test_a_line_that_lasts_counts_its_seconds(monkeypatch):
     """A long design shows its time once a second until the next line; no thread is left when the line is cleared."""
     shown = terminal(monkeypatch)
-    monkeypatch.setattr(printed, "LASTING", 0.05)
+    monkeypatch.setattr(printed, "LONG_STAGE", 0.05)
     printed.show("[1/2] controller slow")
     time.sleep(0.3)
     printed.show("")

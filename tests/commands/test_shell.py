@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from models.common.printed import pasted, pasted_path
+from models.common.printed import pasted_path, shell_line
 from models.kinds.kind import HERE
 from models.vehicle.vehicle import read_vehicle
 from synth.__main__ import main
@@ -22,7 +22,7 @@ NAMES = ("my car.toml", "it's", '"', "$HOME", "`id`", "a;b", "*", "Ы é", "\\",
 @pytest.mark.skipif(sys.platform == "win32" or not Path("/bin/bash").exists(), reason="it is read back by bash")
 def test_a_shell_reads_it_back():
     """Every word of a printed command comes out of a shell as it went in."""
-    command = " ".join([pasted(NAMES), *(pasted_path(Path(one)) for one in NAMES)])
+    command = " ".join([shell_line(NAMES), *(pasted_path(Path(one)) for one in NAMES)])
     echo = subprocess.run(["/bin/bash", "-c", f"printf '%s\\0' {command}"], capture_output=True, check=True)
     assert echo.stdout.decode().split("\0")[:-1] == [*NAMES, *NAMES]
 

@@ -8,7 +8,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.document.text import text_lines
-from models.laws.python_law import Programmed
+from models.laws.python_law import PythonController
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
@@ -62,7 +62,7 @@ def found_of(folder, law: str, how: Implementation | None = None, more: str = ""
     vehicle = read_vehicle(vehicle_of(folder, law, more=more))
     vehicle = replace(vehicle, implementation=how or Implementation())
     (mine,) = controllers_of(vehicle, ["mine"], Designer(vehicle).design)
-    assert isinstance(mine, Programmed)
+    assert isinstance(mine, PythonController)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("sim.studies.frequency.sinusoids.LOWEST", lowest)
         return describing_function(vehicle, mine, AMPLITUDE, step, SPEED), vehicle

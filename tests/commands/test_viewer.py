@@ -105,7 +105,7 @@ def test_the_window_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_window_that_does_not_open_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A viewer that ends at once, as without a graphics card, is one line with its own reason and where the recording is."""
     ending = "sys.stderr.write('listening\\n\\x1b[31mError: no\\x1b[0m adapter\\n\\n'); sys.exit(1)"
-    monkeypatch.setattr(rerun_viewer, "FAILING", 60.0)
+    monkeypatch.setattr(rerun_viewer, "FAILING_TIME", 60.0)
     monkeypatch.setattr(rerun_viewer, "_command", lambda: [sys.executable, "-c", f"import sys; {ending}"])
     with refused(str(tmp_path / "x.rrd"), match=r"did not open \(no adapter\)"):
         rerun_viewer.open_viewer(tmp_path / "x.rrd")

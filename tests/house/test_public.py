@@ -23,7 +23,7 @@ import pytest
 import models
 import sim
 import synth
-from models.vehicle.vehicle import shipped
+from models.vehicle.vehicle import shipped_vehicles
 from tests.support.pages import PAGES  # contributors work behind the front door
 
 ROOT = Path(__file__).parents[2]
@@ -183,7 +183,7 @@ def test_with_parameters():
 
 def test_vehicles_and_controllers_go_to_other_processes():
     """Plain pickle writes every shipped vehicle, whole, and a controller; what comes back is the same, as is a deep copy."""
-    for name in shipped():
+    for name in shipped_vehicles():
         vehicle = models.read_vehicle(name)
         for again in (pickle.loads(pickle.dumps(vehicle)), copy.deepcopy(vehicle)):
             assert (again.text, repr(again), again.kind.signals) == (vehicle.text, repr(vehicle), vehicle.kind.signals)

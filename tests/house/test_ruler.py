@@ -15,7 +15,7 @@ from models.laws import semi_active
 from models.laws.combinations import DEMANDS, KINDS
 from models.roads.load import LOADS
 from models.vehicle.names import ROAD_KINDS
-from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped
+from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped_vehicles
 from sim.campaign.samples import DISTRIBUTIONS, METHODS
 from tests import same_numbers
 from tests.same_numbers import RULER, Answer, compare, lines_of
@@ -50,7 +50,7 @@ def campaigns(folder) -> list[dict]:
 def cars(folder, campaigns) -> list[Vehicle]:
     """The vehicles of all commands, as far as a command does not write them."""
     named = {*re.findall(r"(?:--vehicle|--check) (\S+)", TEXT), *chain(*(one["vehicles"] for one in campaigns)), "quarter_car"}
-    return [read_vehicle(name if name in shipped() else folder / name) for name in named - WRITTEN]
+    return [read_vehicle(name if name in shipped_vehicles() else folder / name) for name in named - WRITTEN]
 
 
 def test_every_key_is_used(cars, campaigns):

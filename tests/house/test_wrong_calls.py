@@ -52,9 +52,9 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
     plant = synth.GeneralizedPlant(A, B, B, C, D, Dw)
     matrices = {name: getattr(plant, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     Cy, K, kind, model = array([[0.0, 1.0]]), array([[-2.0]]), vehicle.kind, vehicle.linear_model
-    posed = synth.MeasuredPlant(plant, Cy)
+    plant_problem = synth.MeasuredPlant(plant, Cy)
     member, goal, none = (
-        synth.FamilyMember((posed,)),
+        synth.FamilyMember((plant_problem,)),
         synth.NormSpecification(band=(1.0, 3.0)),
         synth.GainErrors(np.zeros(1), np.zeros(1)),
     )
@@ -131,7 +131,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None}),
         "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
         "MeasuredPlant": (synth.MeasuredPlant, {**measured, "Dyw": None}),
-        "FamilyMember": (synth.FamilyMember, {"posed": (posed,), "driven_by": (), "signals": ()}),
+        "FamilyMember": (synth.FamilyMember, {"posed": (plant_problem,), "driven_by": (), "signals": ()}),
         "GainErrors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
         "MultiObjectiveProblem": (
             synth.MultiObjectiveProblem,

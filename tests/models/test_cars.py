@@ -248,7 +248,7 @@ def test_a_full_car_of_equal_axles_is_two_half_cars_in_the_roll_plane():
     for car, of in ((full, at_front), (half, str)):
         model, rows = car.linear_model, [car.linear_model.outputs.index(of(name)) for name in half.linear_model.outputs]
         left = np.array([[float(name.endswith("left"))] for name in model.disturbances])
-        pushed = Cornering(g=1.0).over(np.array([9.0]), car.parameters, car.kind)
+        pushed = Cornering(g=1.0).at(np.array([9.0]), car.parameters, car.kind)
         push = np.array([pushed.get(name, np.zeros(1)) for name in model.loads])
         acts = np.concatenate([(model.Bw + model.Br / s) @ left, np.broadcast_to(model.Bl @ push, (4, len(model.A), 1))], axis=-1)
         gains.append(model.C[rows] @ np.linalg.solve(s * np.eye(len(model.A)) - model.A, acts))
@@ -300,7 +300,7 @@ def test_a_steady_curve_moves_load_by_its_closed_form():
     ms, mu, b, on_tyres = 600.0, 40.0, 0.48, 2 / (2e5 * 1.5**2)  # rad per N m
     in_series, by_links = 1 / (2e4 * 1.5**2 / 2 + 9e3) + on_tyres, ms * a * 0.12 + 2 * mu * a * 0.3  # links turn only the axle
     phi = (ms * a * b * in_series + by_links * on_tyres) / (1 - ms * 9.81 * b * in_series)
-    model, pushed = car.linear_model, Cornering(g=0.2).over(np.array([9.0]), car.parameters, car.kind)
+    model, pushed = car.linear_model, Cornering(g=0.2).at(np.array([9.0]), car.parameters, car.kind)
     rest = np.linalg.solve(model.A, -model.Bl @ [float(pushed.get(name, [0.0])[0]) for name in model.loads])
     state = dict(zip(model.outputs, model.C @ rest, strict=True))
     angle = sum(share * state.get(name, 0.0) for name, share in car.kind.angles(car.parameters)["roll_angle"].items())
@@ -327,13 +327,13 @@ def test_the_third_inertia_hardly_counts(monkeypatch):
             return model
 
         monkeypatch.setattr(readout, "build_model", build)
-        readout.prepared.cache_clear()
+        readout.prepared_readout.cache_clear()
         return simulate([vehicle], [passive], [road], time).response.run(0)
 
     try:
         ours, *others = (driven(yaw) for yaw in (pitch, pitch - roll, pitch + roll))
     finally:
-        readout.prepared.cache_clear()
+        readout.prepared_readout.cache_clear()
     moved = [
         max(np.abs(other[name] - ours[name]).max() / np.abs(ours[name]).max() for name in vehicle.linear_model.outputs[:-4])
         for other in others

@@ -19,7 +19,7 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.drive.regime import CURVE, REGIME_ENDS, departures, reached
+from sim.drive.regime import CURVE, REGIME_ENDS, departures, end_times
 from sim.inspect.findings import different
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
 from sim.runs.report import RUN, reasons, verdict
@@ -323,7 +323,7 @@ def test_a_user_sees_it(tmp_path, capsys):
     said = prose(capsys.readouterr().out)
     vehicle = read_vehicle(tmp_path / "mine.toml")
     (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.3, 1e-3))
-    when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
+    when, (share,) = end_times(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
     assert f"first differs from its line by 10 % of its largest force at {when:.4g} s" in said
     assert f"suspension_damping differs from its linearisation by up to {100 * share:.2g} % of its largest force" in said
 

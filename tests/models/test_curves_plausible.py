@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped
+from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped_vehicles
 from tests.models.test_measured_dampers import PAIR
 from tests.models.test_semi_active_dampers import QUARTER
 from tests.support.curved import DIGRESSIVE, with_curves
@@ -67,12 +67,12 @@ CASES = [(make, *table) for make, tables in KINDS for table in tables.items()]
 def test_a_table_in_another_unit_is_asked_about(make, table):
     """A usual table has no remark. In a unit that is 30 times another it has one about that unit, or is refused."""
     x, force, *car = table
-    assert make(x, force, *car).doubts == []
+    assert make(x, force, *car).warnings == []
     for unit, (along, across) in UNITS.items():
         if unit == "in as m" and max(x) > 1.2:
             continue  # refused as beyond 50 m/s
         changed = make((along * np.array(x)).tolist(), (across * np.array(force)).tolist(), *car)
-        remarks = [one for one in changed.doubts if "preload" not in one]
+        remarks = [one for one in changed.warnings if "preload" not in one]
         assert len(remarks) == 1 or make is with_spring, unit  # two of a natural frequency that is too high
         assert any(re.search(r"(in|and) (N|m|N/m|m/s)$", one.rstrip("?")) for one in remarks), remarks
 
@@ -80,19 +80,19 @@ def test_a_table_in_another_unit_is_asked_about(make, table):
 def test_a_damper_of_the_other_sign_is_asked_about():
     """A damper that resists compression far more than extension is asked about with both forces at the largest common speed."""
     v, force, *car = DAMPERS["heavy truck"]
-    (question,) = with_damper([-x for x in v[::-1]], [-f for f in force[::-1]], *car).doubts
+    (question,) = with_damper([-x for x in v[::-1]], [-f for f in force[::-1]], *car).warnings
     assert question.startswith("suspension_damping: the force at 0.5 m/s is 12000 N in compression and 1800 N in extension")
-    assert with_curves(suspension_damping=DIGRESSIVE).doubts == []
+    assert with_curves(suspension_damping=DIGRESSIVE).warnings == []
 
 
 def test_both_curves_of_a_semi_active_damper_count():
     """The firm setting of an adjustable damper may not be far too soft, nor the soft one far too firm."""
-    assert parse_vehicle(QUARTER + PAIR).doubts == []
+    assert parse_vehicle(QUARTER + PAIR).warnings == []
     bent = "{{ velocity = [-1, -0.5, 0, 0.5, 1], force = [-{0}, -{1}, 0, {1}, {0}] }}"
     for soft, nominal, hard, ratio in ((20, 25, 40, "0.0093"), (6e4, 8e4, 9e4, "11.6696")):
         pair = "".join(f"{name} = {bent.format(c, 0.6 * c)}\n" for name, c in (("c_min", soft), ("c_max", hard)))
         text = QUARTER.replace("suspension_damping = 1000.0", f"suspension_damping = {nominal}")
-        question = parse_vehicle(f'{text}[actuators]\nkind = "damper"\n{pair}').doubts[-1]
+        question = parse_vehicle(f'{text}[actuators]\nkind = "damper"\n{pair}').warnings[-1]
         assert question.startswith(f"[actuators]: the damping ratio is about {ratio}; check that")
 
-    assert not any(read_vehicle(name).doubts for name in shipped())
+    assert not any(read_vehicle(name).warnings for name in shipped_vehicles())

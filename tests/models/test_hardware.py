@@ -190,10 +190,10 @@ def test_lag_is_a_state_that_can_be_measured():
     """Behind a lag the force that acts is a state, and measured it takes part in a static gain, which is at least as good."""
     section = '[controllers.one]\nmeasured = ["suspension_deflection", "sprung_velocity", "control_force"]\nlag = true\n'
     vehicle = built(section=section)
-    posed = problem(vehicle, vehicle.controllers["one"].measured, vehicle.controllers["one"].hardware)
+    plant_problem = problem(vehicle, vehicle.controllers["one"].measured, vehicle.controllers["one"].hardware)
     assert plant_states(vehicle, 80.0)[-1] == "lagged_control_force"
-    np.testing.assert_array_equal(posed.plant.Cy[-1], [0, 0, 0, 0, 1])
-    assert not posed.plant.Dyu.any()
+    np.testing.assert_array_equal(plant_problem.plant.Cy[-1], [0, 0, 0, 0, 1])
+    assert not plant_problem.plant.Dyu.any()
     told, untold = (Designer(one).refine("one").controller for one in (vehicle, built("lag = true")))
     assert told.gain.shape == (1, 3)
     assert told.certificate.norm.value <= untold.certificate.norm.value * (1 + 1e-3)  # what refinement holds not worth it

@@ -30,7 +30,7 @@ from sim.drive.__main__ import main
 from sim.drive.regime import LIFT_OFF
 from sim.drive.response import Response
 from sim.inspect.__main__ import main as inspect
-from sim.runs.report import LOST, NO_STATE, reasons, verdict
+from sim.runs.report import INVALID_EQUATIONS, NO_STATE, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.support.analysed import continuous_response, energy, sampled_response, simulate
@@ -118,11 +118,11 @@ def test_what_no_step_confirms_is_not_compared():
     agreement = run.agreement
     assert run.passed
     assert agreement.steps is not None
-    assert agreement.lost
+    assert agreement.equations_invalid
     assert agreement.until == agreement.steps.until < agreement.ended[LIFT_OFF.name]
     shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
     assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
-    assert f"until {agreement.until:.4g} s ({LOST})" in verdict(run).text
+    assert f"until {agreement.until:.4g} s ({INVALID_EQUATIONS})" in verdict(run).text
     assert any(NO_STATE in line.text for line in reasons(run))
 
 
@@ -259,7 +259,7 @@ def test_a_file_is_its_numbers(tmp_path):
     file.write_text(HISTORY)
     load = choose_load(str(file))
     assert isinstance(load, History)
-    came = load.over(np.array([0.0, 0.35, 0.5, 1.0, 9.0]), {})
+    came = load.at(np.array([0.0, 0.35, 0.5, 1.0, 9.0]), {})
     np.testing.assert_allclose(came["pitch_load"], [0.0, 750.0, 1500.0, 1500.0, 0.0])
     np.testing.assert_allclose(came["heave_load"], [0.0, -50.0, -100.0, -25.0, 0.0])
     for second, newton, moment, factor in (("ms", "kN", "Nm", 1e3), ("s", "kN", "kNm", 1e3), ("s", "N", "N m", 1.0)):
@@ -277,7 +277,7 @@ def test_a_file_is_its_numbers(tmp_path):
     np.testing.assert_array_equal(again.time, load.time)
     assert again.text == load.text
     assert brake == choose_load("brake")
-    half = load.scaled(0.5).over(np.array([0.5]), {})
+    half = load.scaled(0.5).at(np.array([0.5]), {})
     assert half["pitch_load"] == 750.0
 
 

@@ -102,13 +102,13 @@ def test_what_a_damper_gives():
         physics = run.physics
         v = physics["suspension_velocity"]
         (one,) = run.vehicle.parts.adjustable
-        pull = one.ramp(v, 0.0) - physics["control_force"]
+        pull = one.force_at(v, 0.0) - physics["control_force"]
         low, high = table(0, v), table(1, v)
         inside = np.abs(v) < 1.5
         assert np.all((pull - low)[inside] * np.sign(v[inside]) >= -1e-6)
         assert np.all((high - pull)[inside] * np.sign(v[inside]) >= -1e-6)
     v, body = hard.physics["suspension_velocity"], hard.physics["sprung_velocity"]
-    pull = hard.vehicle.parts.adjustable[0].ramp(v, 0.0) - hard.physics["control_force"]
+    pull = hard.vehicle.parts.adjustable[0].force_at(v, 0.0) - hard.physics["control_force"]
     clear = (np.abs(v) > 1e-6) & (np.abs(body) > 1e-6) & (np.abs(v) < 1.5)
     expected = np.where(body * v > 0, table(1, v), table(0, v))
     assert np.abs(pull - expected)[clear].max() < 1e-6
@@ -124,14 +124,16 @@ def test_the_nominal_setting_is_where_the_parameter_says():
     assert (one.damper.c_min, one.damper.c_max) == pytest.approx(((800 + 130 / 0.15) / 2, 6000.0), rel=1e-12)
     share = (1000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
     v = np.linspace(-1.4, 1.4, 51)
-    np.testing.assert_allclose(one.ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
+    np.testing.assert_allclose(one.force_at(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
     (fitted,) = vehicle.parts.with_curve
     assert fitted.curve.slope == vehicle.parameters["suspension_damping"]
     assert vehicle.linearised.parts.with_curve == ()
     assert vehicle.with_ideal_actuators.parts.with_curve[0].curve(v) == pytest.approx(fitted.curve(v), abs=1e-9)
     other = replace(vehicle, parameters={**vehicle.parameters, "suspension_damping": 3000.0})
     share = (3000.0 - one.damper.c_min) / (one.damper.c_max - one.damper.c_min)
-    np.testing.assert_allclose(other.parts.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
+    np.testing.assert_allclose(
+        other.parts.adjustable[0].force_at(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,7 @@ def test_actuators_over_travel(kind, lag):
     assert run.energy.residual < 1e-5
     name = vehicle.linear_model.inputs[0]
     assert 149.0 < np.abs(run.physics[name]).max() <= 150.0 + 1e-9
-    d, u = run.physics[vehicle.kind.pushed(name)], run.physics[name]
+    d, u = run.physics[vehicle.kind.deflection_of(name)], run.physics[name]
     mean = (u[1:] + u[:-1]) / 2 if lag else u[:-1]
     power = float((ratio_at(d[:-1]) * mean * np.diff(d)).sum() / run.physics.time[-1])
     assert measure(vehicle, run.physics, 0)[name.replace("force", "power")] == pytest.approx(power, rel=1e-12)
@@ -268,8 +268,8 @@ def test_a_stop_over_travel():
     vehicle = parse_vehicle(text)
     assert travel_at(-vehicle.parts.strokes["suspension_deflection"]["bump"]) == pytest.approx(-0.03, rel=1e-12)
     assert driven(vehicle, "passive", "bump:height=0.06").agrees
-    assert not vehicle.doubts
-    (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).doubts
+    assert not vehicle.warnings
+    (far,) = parse_vehicle(text.replace("= 0.03\n", "= { bump = 0.05, rebound = 0.06 }\n")).warnings
     assert "ends at 0.08 m, but the rebound stop begins at 0.10" in far
 
 

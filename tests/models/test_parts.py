@@ -37,7 +37,7 @@ from sim.bump import main as bump
 from sim.drive.regime import departures
 from sim.inspect.__main__ import main as inspect
 from sim.observers.recorder import Recording
-from sim.runs.prediction import predicted
+from sim.runs.prediction import predict_run
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times, with_energy_balance
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import driver_of
@@ -858,7 +858,7 @@ def test_a_run_is_an_independent_integration(names, ratio):
 
 def judged(on: RoadInput, physics: Recording) -> Run:
     """The verdict on a run of MuJoCo by the prediction for a vehicle."""
-    return compare_runs([predicted(held(on.vehicle.kind.name), on, physics.commands)], [physics])[0]
+    return compare_runs([predict_run(held(on.vehicle.kind.name), on, physics.commands)], [physics])[0]
 
 
 @some_runs

@@ -119,7 +119,7 @@ def test_keys_are_checked():
     with refused("unknown parameter 'seat_mass'", "write [seat]"):
         parse_vehicle(read_vehicle("half_car").text.replace("[parameters]", "[parameters]\nseat_mass = 3.0"))
     for stiffness in (16.0, 16e6):  # in N/mm or kN/m instead of N/m
-        assert [one for one in seated("half_car", stiffness=stiffness).doubts if "stiffness in N/m" in one]
+        assert [one for one in seated("half_car", stiffness=stiffness).warnings if "stiffness in N/m" in one]
     views = vehicle_sketch(seated("full_car")).views
     assert [view.seat and view.seat.place for view in views] == pytest.approx([0.2 - 1.011, -0.35])
     for name, keys in (("quarter_car", "mass stiffness damping"), ("half_car_roll", "mass stiffness damping y")):

@@ -11,7 +11,20 @@ from models.characteristics.adjustable_range import ActuatorSection
 from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.characteristics.ratio_table import RatioSection
 from models.characteristics.stop_section import StopSection
-from models.common.schema import SI, AnyTable, BySignal, Choice, Flag, Integer, Key, Listed, Section, keys, read, required
+from models.common.schema import (
+    SI,
+    AnyTable,
+    BySignal,
+    Choice,
+    Flag,
+    Integer,
+    Key,
+    ListedValues,
+    Section,
+    keys,
+    read,
+    required_keys,
+)
 from models.kinds.seat import Seat
 from models.laws.design_request import DesignRequest
 from models.laws.filter import FilterSection
@@ -103,7 +116,7 @@ def names(rows: list) -> list[str]:
 
 def wrapped(key: Key, value: object) -> object:
     """A value as the key holds it: in a list, if the key is one."""
-    return [wrapped(key.each, value)] * key.least if isinstance(key, Listed) else value
+    return [wrapped(key.each, value)] * key.least if isinstance(key, ListedValues) else value
 
 
 def table(section: type, name: str, value: object) -> dict[str, object]:
@@ -127,7 +140,7 @@ def test_a_section(section):
             read("[here]", section, {**others, "colour": 1}, **CONTEXT)
     with refused(match=r"^\[here\] = 3 is not a section; write \[here\]"):
         read("[here]", section, 3)
-    for key in required(section):
+    for key in required_keys(section):
         left = {name: value for name, value in SECTIONS[section].items() if name != key}
         with refused(match=rf"^\[here\] {key} is missing; give {key}.*: \w+"):
             read("[here]", section, left, **CONTEXT)
@@ -148,7 +161,7 @@ def test_a_key(section, name, key):
         line(wrong, rf"^\[here.*{name}")
     if any(isinstance(one, Choice) for one in held):
         line(wrapped(key, "blue"), rf"^\[here\] {name}\S* = 'blue' is not allowed; give '\w+")
-    if isinstance(key, Listed) and key.least:
+    if isinstance(key, ListedValues) and key.least:
         line([], rf"^\[here\] {name} = \[\] is not allowed; give a list of at least \w+ value")
     if type(key) is AnyTable:
         line(1.0, rf"^\[here\] {name} = 1.0 is not a table; write its name in single brackets")

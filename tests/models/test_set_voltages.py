@@ -15,7 +15,7 @@ from models.vehicle.vehicle import Vehicle
 from sim import run
 from sim.campaign.samples import with_sample
 from sim.linear.dampers import closing_velocities
-from sim.linear.stepped import stepped
+from sim.linear.stepped import stepped_runs
 from synth.controller.controller import Controller
 from synth.vehicle.designer import driver_of
 from tests.support.analysed import simulate_inputs as simulate
@@ -126,7 +126,7 @@ def test_the_nonlinear_response_and_the_verdict_are_those_of_mujoco(kind, more):
     vehicle = car(kind, more, f"{TIMED[:-1]}\ndelay = 1.0\n{R}")
     on, gain = RoadInput(vehicle, Bump(0.03, 3.0, 12.5), np.arange(80) * 2e-3), driver_of(vehicle, "gain")
     assert isinstance(gain, Controller)
-    (found,) = stepped([gain], [on]).response.values
+    (found,) = stepped_runs([gain], [on]).response.values
     physics = simulate([gain], [on]).run(0)
     scale = np.abs(physics.values).max(axis=0)
     assert (np.abs(found - physics.values).max(axis=0) < 1e-9 * np.where(scale, scale, 1.0)).all()

@@ -167,7 +167,7 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
         carried = vehicle.parameters["sprung_mass"] * 9.81 / 2 * arm / (a + b) - other
         expected = carried - np.interp(np.interp(carried, push, squeeze) - x, squeeze, push) + slope * x
         np.testing.assert_allclose(vehicle.curves[f"suspension_stiffness_{axle}"](x), expected, atol=1e-8)
-    assert vehicle.doubts == []
+    assert vehicle.warnings == []
 
     # The rear axle of an SUV in DYNA4's format, from a public repository: over compression, with the load of its own body at 0.
     own = "[curves]\nsuspension_stiffness = { compression = [-0.0745, 0, 0.0905], force = [1898, 4756, 9323] }\n[limits.stop]\n"
@@ -176,7 +176,7 @@ def test_preload_is_where_the_spring_carries_the_static_load(tmp_path, capsys):
     said, warned = driven(tmp_path, capsys)
     assert "agrees" in said
     assert f"force at rest is 4756 N, but the static load is {weight:.1f} N, a difference of {weight - 4756:+.1f} N" in warned
-    assert read_with(tmp_path, own.replace(" }", f", preload = {weight} }}", 1)).doubts == []
+    assert read_with(tmp_path, own.replace(" }", f", preload = {weight} }}", 1)).warnings == []
     with refused("its table carries 1898 to 9323 N, but the static load is 10000 N"):
         read_with(tmp_path, own.replace(" }", ', preload = "10 kN" }', 1))
     with refused("or preload = true for a table that begins at the free length"):
@@ -208,7 +208,7 @@ def test_a_preloaded_spring_follows_the_mass(tmp_path, kind, turning):
             assert changed.parameters[name] == pytest.approx(heavy.parameters[name], rel=1e-12)
             np.testing.assert_allclose(changed.curves[name](x), curve(x), rtol=1e-9, atol=1e-9 * curve.range)
         np.testing.assert_allclose(changed.linear_model.A, heavy.linear_model.A, rtol=1e-12)
-        assert not changed.doubts
+        assert not changed.warnings
     assert any(heavy.parameters[name] != vehicle.parameters[name] for name in heavy.curves)
     squeeze, push = np.loadtxt(spring.replace(",", ".").splitlines()[1:], delimiter=";").T * [[1e-3], [1e3]]
     arms = {end: heavy.parameters.get(f"axle_distance{end}", 0.5) for end in axles}
@@ -240,7 +240,7 @@ def test_a_measured_loop_is_its_mean(tmp_path, capsys, first):
     )
     curve, x = vehicle.curves["suspension_damping"], np.linspace(-0.59, 0.59, 119)
     assert np.abs(curve(x) - mean(x)).max() < 0.01 * 1776  # 0.5 % of thinning, and noise
-    (note,) = vehicle.doubts
+    (note,) = vehicle.warnings
     number = r"(-?[\d.]+(?:e[+-]\d+)?)"
     pattern = rf"{number} N either way at {number} m/s, {number} N at rest .* {number} N s/m over"
     pattern += rf".* rest {number} N s/m, .* {number} and {number} m/s"
@@ -301,7 +301,7 @@ def test_a_raw_log_of_a_dynamometer(tmp_path, name, sign):
     v = np.linspace(-0.165, 0.165, 34)
     # Noise of 5 um through a filter of 18 Hz is 0.2 mm/s, at 8 kN s/m 2 N; lines are within 4 N, and bins 2 mm/s wide.
     assert np.abs(vehicle.curves["suspension_damping"](v) - law(v)).max() < 20
-    note = next(one for one in vehicle.doubts if "low-pass" in one)
+    note = next(one for one in vehicle.warnings if "low-pass" in one)
     assert re.search(
         r"low-pass of 1\d\.\d+ Hz \(Savitzky-Golay, order 3, \d+ samples\), last 6 of 6 cycles of 1\.[45]\d* Hz", note
     )
@@ -320,7 +320,7 @@ def test_a_log_in_matlab_and_a_velocity_of_the_other_sign(tmp_path):
     vehicle = read_with(tmp_path, DAMPER_OF_FILE, a=f"velocity [mm/s],force [N]\n{rows}")
     assert vehicle.curves["suspension_damping"](np.array([-0.1]))[0] == pytest.approx(law(-0.1), rel=0.03)
     power = np.mean(np.gradient(x, t) * (f - f.mean()))
-    assert any(f"the force falls as velocity rises (mean power {-power:.4g} W)" in one for one in vehicle.doubts)
+    assert any(f"the force falls as velocity rises (mean power {-power:.4g} W)" in one for one in vehicle.warnings)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.drive.regime import reached
+from sim.drive.regime import end_times
 from sim.runs.report import RUN, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.stops import stop_note
@@ -144,7 +144,7 @@ def test_stops_of_an_axle_are_its_own():
     response = runs.response.run(0)
     beyond = {name: (response[name] <= -low) | (response[name] >= high) for name, (low, high) in wanted.items()}
     assert all(one.any() for one in beyond.values())
-    assert reached(vehicle, response)[1] == time[min(int(one.argmax()) for one in beyond.values())]
+    assert end_times(vehicle, response)[1] == time[min(int(one.argmax()) for one in beyond.values())]
     measured = measure(vehicle, response, 0)
     assert {name: measured[f"{name}_at_stops"] for name in wanted} == {name: one.mean() for name, one in beyond.items()}
     assert energy(vehicle, runs, 0, road).residual < 1e-4  # kinks where a stop begins to act

@@ -24,7 +24,7 @@ from synth.controller.controller import Controller
 from synth.controller.export.linear_system import loop_system
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.vehicle.designer import Designer
-from synth.vehicle.expected_ride import WEIGHTED, expected_ride
+from synth.vehicle.expected_ride import WEIGHTING_FILTER, expected_ride
 from tests.support.commands import in_the_suite
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -129,7 +129,7 @@ def test_the_expected_ride_counts_the_road_in_a_reading():
     omega = np.geomspace(*road.band, 40_000)
     i, own = vehicle.linear_model.outputs.index("sprung_acceleration"), np.eye(len(A))
     response = (C[i] @ np.linalg.solve(1j * omega[:, None, None] * own - A, B))[:, 0] + D[i, 0]
-    weighted = np.abs(WEIGHTED.response(omega) * response * sources(vehicle, road, omega)[:, 0, 0]) ** 2
+    weighted = np.abs(WEIGHTING_FILTER.response(omega) * response * sources(vehicle, road, omega)[:, 0, 0]) ** 2
     ride = np.sqrt(road.density * np.trapezoid(weighted, omega) / (2 * np.pi))
     assert expected_ride(vehicle, controller) == pytest.approx(ride, rel=1e-3)
 

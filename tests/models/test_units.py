@@ -6,7 +6,7 @@ import pytest
 from models.common.errors import InputError
 from synth.design.problem import DesignResult
 from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
-from synth.lmi.central_path import CENTRED
+from synth.lmi.central_path import CENTRE_DECREMENT
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.plant.units import own_units, speed
@@ -252,7 +252,7 @@ def test_a_path_rests_at_the_same_points_in_any_units():
     assert [point.mu for point in here] == [point.mu for point in there] == [1.0, 0.1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9]
     for one, other in zip(here, there, strict=True):
         # Where the path is followed by Newton's method to a decrement, which is eta's error over mu; and rounding.
-        assert other.gamma / unit == pytest.approx(one.gamma, rel=CENTRED * one.mu + 1e-10)
+        assert other.gamma / unit == pytest.approx(one.gamma, rel=CENTRE_DECREMENT * one.mu + 1e-10)
 
 
 def test_own_units_are_no_units():

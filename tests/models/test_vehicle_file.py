@@ -13,7 +13,7 @@ import models
 import sim
 from models.common.errors import InputError
 from models.kinds.kind import MOST_SQUEEZE
-from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped
+from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped_vehicles
 from tests.support.commands import ROOT, main_of, prose, refused
 
 MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
@@ -330,7 +330,7 @@ def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
 def test_one_axle_in_another_unit_is_asked_about(name, value, said):
     """A number of one axle in another unit than the other's is asked about, in one question."""
     text = re.sub(rf"^{name} = .*$", f"{name} = {value}", read_vehicle("half_car").text, flags=re.MULTILINE)
-    assert parse_vehicle(text).doubts == ([said] if said else [])
+    assert parse_vehicle(text).warnings == ([said] if said else [])
 
 
 def test_a_map_asks_about_units_too(tmp_path, capsys):
@@ -394,7 +394,7 @@ def put(text: str, entry: str) -> str:
 def test_a_mistake_is_remarked_once(mistake):
     """An improbable number of a vehicle has one remark, with what to check, or is refused; so has one axle of a car."""
     try:
-        (said,) = parse_vehicle(reduce(put, mistake.split("|"), corner("car"))).doubts
+        (said,) = parse_vehicle(reduce(put, mistake.split("|"), corner("car"))).warnings
     except InputError as error:
         said = str(error)
     assert re.search(MISTAKES[mistake], said)
@@ -403,16 +403,16 @@ def test_a_mistake_is_remarked_once(mistake):
 @pytest.mark.parametrize("name", RIGHT)
 def test_right_vehicles_have_no_remark(name):
     """Limits are relative to the vehicle: a truck, a bicycle and a test bench of 2.45 kg are all right."""
-    assert parse_vehicle(corner(name)).doubts == []
+    assert parse_vehicle(corner(name)).warnings == []
 
 
 def test_axles_of_a_car():
     """The front and the rear axle of a car have the same rules, and a remark names the axle, or both."""
     for kind, rear in (("half_car", "rear"), ("full_car", "rear_left")):
         text = read_vehicle(kind).text
-        (soft,) = parse_vehicle(put(put(text, "tyre_stiffness_rear = 20e3"), "suspension_stiffness_rear = 30e3")).doubts
+        (soft,) = parse_vehicle(put(put(text, "tyre_stiffness_rear = 20e3"), "suspension_stiffness_rear = 30e3")).warnings
         assert soft.startswith("tyre_stiffness_rear (20000 N/m) is softer than suspension_stiffness_rear")
-        (apart,) = parse_vehicle(put(put(text, "suspension_stiffness_front = 9e4"), "suspension_stiffness_rear = 15e3")).doubts
+        (apart,) = parse_vehicle(put(put(text, "suspension_stiffness_front = 9e4"), "suspension_stiffness_rear = 15e3")).warnings
         assert re.search(rf"at front.* is far above .* at {rear} .* front and rear are not swapped", apart)
 
 
@@ -442,7 +442,7 @@ def test_remarks_are_in_json_and_python_warns(tmp_path, capsys):
 
 def test_vehicles_that_ship_raise_no_doubt():
     """Nothing is asked about the vehicles that ship."""
-    assert not any(read_vehicle(name).doubts for name in shipped())
+    assert not any(read_vehicle(name).warnings for name in shipped_vehicles())
 
 
 RICH = """[curves]

@@ -88,7 +88,7 @@ def at_rest(vehicle: Vehicle, *texts: str) -> dict[str, float]:
     model, p = vehicle.linear_model, vehicle.parameters
     pushed = dict.fromkeys(model.loads, 0.0)
     for text in texts:
-        for name, values in choose_load(text).over(np.array([99.0]), p, vehicle.kind).items():
+        for name, values in choose_load(text).at(np.array([99.0]), p, vehicle.kind).items():
             pushed[name] += values.item()
     load = np.array([*pushed.values()])
     x = np.linalg.solve(model.A, -model.Bl @ load)

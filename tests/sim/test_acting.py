@@ -14,7 +14,7 @@ from sim.drive.__main__ import main
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.rerun_writer import _page, write_rrd
 from sim.recording.run_records import run_log
-from sim.runs.force_diagram import diagrams, pulled
+from sim.runs.force_diagram import diagram_signals, diagrams
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.sim.test_rerun import _parts, rows
@@ -111,16 +111,16 @@ def test_curves_are_logged_as_they_are():
     """A spring's force lies on its curve, over deflection, and a damper's, over velocity, off it by what its actuator pushes."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
     (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
-    found = pulled(vehicle, run.physics)
+    found = diagram_signals(vehicle, run.physics)
     assert found is not None
     for what, one in (("spring", "deflection"), ("damper", "velocity")):
         np.testing.assert_array_equal(found[f"{what}_force"], found[f"{what}_force_curve"])
         np.testing.assert_array_equal(found[f"{what}_{one}"], run.physics[f"suspension_{one}"])
     names, pushing = [signal.name for signal in run.physics.signals], run.physics.values.copy()
     pushing[:, names.index("control_force")] = 100.0
-    pushed = pulled(vehicle, replace(run.physics, values=pushing))
+    pushed = diagram_signals(vehicle, replace(run.physics, values=pushing))
     assert pushed is not None
     np.testing.assert_array_equal(pushed["damper_force"], found["damper_force_curve"] - 100.0)  # pushing apart
     np.testing.assert_array_equal(pushed["spring_force"], found["spring_force_curve"])
-    assert pulled(vehicle.linearised, run.physics) is None
+    assert diagram_signals(vehicle.linearised, run.physics) is None
     assert diagrams(vehicle.linearised) == []

@@ -25,7 +25,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
-from sim.campaign.manifest import locked, read_manifest
+from sim.campaign.manifest import lock_folder, read_manifest
 from sim.runs.run import run_controllers
 from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.run_metrics import driven_roughness, measure_run, roughness
@@ -429,7 +429,7 @@ def test_another_campaign_is_left_alone(tmp_path):
     with pytest.raises(InputError, match=r"started with mujoco 1\.0"):
         run(tmp_path, text)
     manifest.write(tmp_path / "results")
-    with locked(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
+    with lock_folder(tmp_path / "results"), pytest.raises(InputError, match="another campaign is running"):
         run(tmp_path, text)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").touch()

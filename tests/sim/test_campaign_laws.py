@@ -10,8 +10,8 @@ from models.common.errors import InputError
 from models.kinds.kind import HERE
 from models.laws import python_runtime as running
 from sim.campaign.__main__ import main
-from sim.campaign.batch import FAILED, run_batch
-from sim.campaign.controllers import designed
+from sim.campaign.batch import FAILED_LAW, run_batch
+from sim.campaign.controllers import design_controllers
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import read_manifest
 from sim.campaign.plan import Plan
@@ -74,7 +74,7 @@ def rows_of(file: Path, *arguments: str, results: str = "results") -> list[dict]
 def plan_of(file: Path) -> Plan:
     """The runs of a campaign."""
     campaign = read_campaign(file)
-    return Plan(campaign, designed(campaign))
+    return Plan(campaign, design_controllers(campaign))
 
 
 @pytest.mark.attack
@@ -125,7 +125,7 @@ def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
     assert sum(row["parameter_sprung_mass"] > 500 for row in rows) == 1
     for row, untouched in zip(rows, sound, strict=True):
         if row["parameter_sprung_mass"] > 500:
-            assert row["reason"].startswith(f"{FAILED}controller 'mine', law mine.py:step: ")
+            assert row["reason"].startswith(f"{FAILED_LAW}controller 'mine', law mine.py:step: ")
             assert FAULTS[fault] in row["reason"]
             assert set(row) == {name for name in untouched if name in plan.inputs(0)} | {"run", "reason"}
         else:

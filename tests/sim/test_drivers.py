@@ -13,7 +13,7 @@ from sim import run
 from sim.drive.driver import RecordedForces
 from sim.drive.drivers.registry import DRIVERS
 from sim.runs.agreement import compare
-from sim.runs.prediction import predicted
+from sim.runs.prediction import predict_run
 from sim.runs.report import reasons, verdict
 from sim.runs.run import compare_runs, sample_times, with_energy_balance
 from synth.vehicle.designer import driver_of
@@ -75,7 +75,7 @@ def test_a_run_agrees_and_other_commands_are_found(name):
         again = simulate([driver_of(vehicle, "I_printed")], inputs[:1]).run(0)
         assert np.array_equal(first.response.values[:, : again.values.shape[1]], again.values)
         return
-    prediction = predicted(driver, inputs[0], first.commands)
+    prediction = predict_run(driver, inputs[0], first.commands)
     assert with_energy_balance(compare_runs([prediction], [first]), [first])[0].passed
     found = compare(prediction, replace(first, commands=1.00001 * first.commands))
     assert [one.agrees for one in (found.steps, found.commands) if one is not None] == [False, False]

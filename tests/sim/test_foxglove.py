@@ -19,7 +19,7 @@ from sim.drive.response import difference
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.run_log import RunLog
-from sim.recording.scene import BESIDE, LIFTED, LONGEST, Scene, arrows, rotation_matrix, strut_lines, tyre_surface
+from sim.recording.scene import BESIDE, LIFTED_COLOUR, LONGEST, Scene, arrows, rotation_matrix, strut_lines, tyre_surface
 from tests.sim.test_recording import make_run, messages
 from tests.support.npm import installed
 
@@ -90,7 +90,7 @@ def test_struts_and_tyres_are_those_of_the_scene(lifting: RunLog, log: Path) -> 
         (surface,) = (entity.triangles[0] for entity in update.entities if entity.id == "tyre")
         for drawn, points in zip((*update.entities[0].lines, surface), expected, strict=True):
             np.testing.assert_allclose([[at.x, at.y, at.z] for at in drawn.points], points[index], atol=GRID)
-        assert (round(255 * surface.color.r) == LIFTED[0]) == tyre.lifted[index]
+        assert (round(255 * surface.color.r) == LIFTED_COLOUR[0]) == tyre.lifted[index]
         assert max(surface.indices) == len(surface.points) - 1
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rerun.blueprint as rrb
 
-from models.kinds.signals import KEPT
+from models.kinds.signals import STATE_PREFIX
 from models.roads.road import Bump, RoadInput
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
@@ -44,8 +44,8 @@ def test_states_in_physics_are_those_of_the_analysis(name, what, reality):
     some = [controller(vehicle, what, 3), Designer(vehicle).design("passive"), controller(vehicle, what, 5)]
     runs = run_controllers(vehicle, some, Bump(height=1e-3), sample_times(vehicle, 0.4, 1e-3))
     for run, count in zip(runs, (3, 0, 5), strict=True):
-        names = [one for one in run.physics.names if one.startswith(KEPT)]
-        assert names == [f"{KEPT}{i}" for i in range(1, count + 1)]
+        names = [one for one in run.physics.names if one.startswith(STATE_PREFIX)]
+        assert names == [f"{STATE_PREFIX}{i}" for i in range(1, count + 1)]
         assert run.physics.signals == run.sampled.signals == run.continuous.signals
         for one in names:
             scale = run.sampled.peak(one)
@@ -75,7 +75,7 @@ def test_states_follow_from_the_measurements(how):
     (run,) = run_controllers(vehicle, [one], Bump(), sample_times(vehicle, 0.5, 1e-3))
     steps = round((how.sample_period or 1e-3) / 1e-3)
     law = one.law.sampled(steps * 1e-3)
-    x = np.stack([run.physics[f"{KEPT}{i}"] for i in range(1, 5)], axis=-1)
+    x = np.stack([run.physics[f"{STATE_PREFIX}{i}"] for i in range(1, 5)], axis=-1)
     y = np.stack([run.physics[name] for name in one.measured], axis=-1)[::steps]
     due = x[::steps]
     # Sums of a few terms, which are not taken in the same order.
@@ -93,7 +93,7 @@ def test_a_discrete_law_keeps_its_own_states(period):
     given = controller(vehicle, "velocity", 2)
     law = given.law.sampled(0.004)
     (run,) = run_controllers(vehicle, [dataclasses.replace(given, law=law)], Bump(), sample_times(vehicle, 1.0, 1e-3))
-    for name in (f"{KEPT}1", f"{KEPT}2"):
+    for name in (f"{STATE_PREFIX}1", f"{STATE_PREFIX}2"):
         for other in (run.physics, run.continuous):
             # Tustin's rule and the hold differ by half a sample or so; other coordinates by a factor of 16.
             assert np.abs(other[name] - run.sampled[name]).max() < 0.5 * run.sampled.peak(name)
@@ -115,9 +115,9 @@ def test_inspection_proves_and_exports_them(log, tmp_path, capsys):
     (run,) = [one for one in json.loads(capsys.readouterr().out)["runs"] if one["name"] == "accelerometer"]
     assert ("responses", "holds") in [(one["part"], one["verdict"]) for one in run["findings"]]
     rows = list(csv.DictReader((tmp_path / "all.csv").open()))
-    assert not any(name.startswith(f"{KEPT}1 I ") for name in rows[0])
+    assert not any(name.startswith(f"{STATE_PREFIX}1 I ") for name in rows[0])
     for state in (1, 2):
-        three = [f"{KEPT}{state} accelerometer {which} [own]" for which in ("mujoco", "sampled", "recomputed")]
+        three = [f"{STATE_PREFIX}{state} accelerometer {which} [own]" for which in ("mujoco", "sampled", "recomputed")]
         mine = np.array([[float(row[key]) for key in three] for row in rows])
         assert np.ptp(mine[:, 0]) > 0
         np.testing.assert_array_equal(mine[:, 1], mine[:, 2])
@@ -145,17 +145,20 @@ def test_viewers_show_those_that_ask_for_most(count):
     """All states are in the log; a page of its own plots the few whose share of the force has the highest peaks."""
     run, logged = run_of_many_states(count)
     (_, other) = run_of_many_states(3)
-    assert sum(name.startswith(KEPT) for name in logged.responses["mujoco"].names) == count
+    assert sum(name.startswith(STATE_PREFIX) for name in logged.responses["mujoco"].names) == count
     assert isinstance(run.controller, Controller)
-    asks = {f"{KEPT}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{KEPT}{i + 1}") for i in range(count)}
+    asks = {
+        f"{STATE_PREFIX}{i + 1}": np.abs(run.controller.law.C[0, i]) * run.sampled.peak(f"{STATE_PREFIX}{i + 1}")
+        for i in range(count)
+    }
     most = sorted(asks, key=lambda name: -asks[name])[:MOST_ACTIVE]
     shown = [name.split("   ")[0].replace(" ", "_") for name in plots(_page([logged], logged))]
-    assert {name for name in shown if name.startswith(KEPT)} == set(most)
+    assert {name for name in shown if name.startswith(STATE_PREFIX)} == set(most)
     assert not any(name.startswith("controller ") for name in plots(_comparison([logged, other]))), "each has its own"
 
     layout = json.loads(foxglove_layout([logged]))["configById"]
     curves = [path["value"] for name, panel in layout.items() if name.startswith("Plot!") for path in panel["paths"]]
     for topic in ("mujoco", "linear", "continuous", "difference"):
-        assert {one.split(".")[1] for one in curves if one.startswith(f"/{topic}.{KEPT}")} == set(most)
+        assert {one.split(".")[1] for one in curves if one.startswith(f"/{topic}.{STATE_PREFIX}")} == set(most)
     titles = [tab["title"] for name, panel in layout.items() if name.startswith("Tab!") for tab in panel["tabs"]]
     assert titles[-2] == ("controller" if count == 2 else "controller: the 6 of 30 states that contribute most")

@@ -9,7 +9,7 @@ from models.common.logs.measured_log import MeasuredLog
 from models.roads.choice import choose_road
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
-from sim.recording.run_log import MEASURED
+from sim.recording.run_log import MEASURED_TOPIC
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from sim.studies.validity.measured_log import compare_log
@@ -96,11 +96,11 @@ def test_offsets_and_signs_are_remarked(runs):
     log = measured(runs[1], CASES["earlier, faster"][0], 1.23456, offset=9.80665)
     one, without = compare_log(log, runs), compare_log(log, runs, remove_offsets=True)
     assert one.start == without.start == pytest.approx(1.23456, abs=5e-4)
-    assert any("sprung_acceleration has an offset of 9.81; the fit is 0.99" in doubt for doubt in one.doubts)
+    assert any("sprung_acceleration has an offset of 9.81; the fit is 0.99" in doubt for doubt in one.warnings)
     assert without.offsets["sprung_acceleration"] == pytest.approx(9.80665, rel=1e-5)
     assert without.fits[1]["sprung_acceleration"].fit == pytest.approx(one.fits[1]["sprung_acceleration"].fit_without_offset)
     flipped = measured(runs[1], CASES["earlier, faster"][0], 1.23456, gain=-1.0)
-    assert sum("opposite sign" in doubt for doubt in compare_log(flipped, runs[1:]).doubts) == 2
+    assert sum("opposite sign" in doubt for doubt in compare_log(flipped, runs[1:]).warnings) == 2
 
 
 def test_without_common_time(runs):
@@ -138,7 +138,7 @@ def test_command(command, capsys, tmp_path, monkeypatch):
     assert "fit = 1 - rms(measured - MuJoCo) / rms(measured), from 0 to 1 s" in capsys.readouterr().out
     (path,) = tmp_path.glob("logs/*.mcap")
     log = read_log(path)
-    assert log.runs[0].responses[MEASURED].names == SIGNALS[::-1]
+    assert log.runs[0].responses[MEASURED_TOPIC].names == SIGNALS[::-1]
     assert prove(log).holds
     said = json.dumps(result["runs"][0]["beside"]["sprung_acceleration"]).encode()
     changed = contents(path).with_attachment(

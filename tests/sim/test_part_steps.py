@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.parts.native import MOTOR
-from models.vehicle.mjcf import FITTED, build_spec
+from models.vehicle.mjcf import FITTED_PREFIX, build_spec
 from models.vehicle.suspension_forces import SuspensionForces
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.drive.part_steps import PartBatch
@@ -45,7 +45,7 @@ def with_motors(vehicle: Vehicle) -> mujoco.MjModel:
     """A model with motors for parts on all suspensions."""
     spec = build_spec(vehicle, H)
     for part in vehicle.kind.suspensions:
-        motor = spec.add_actuator(name=f"{FITTED}{MOTOR}{part.tendon}", target=part.tendon)
+        motor = spec.add_actuator(name=f"{FITTED_PREFIX}{MOTOR}{part.tendon}", target=part.tendon)
         motor.trntype, motor.gainprm[0] = mujoco.mjtTrn.mjTRN_TENDON, -1.0
     return spec.compile()
 

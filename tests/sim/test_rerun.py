@@ -19,7 +19,7 @@ from sim.recording.rerun_contents import GROUND
 from sim.recording.rerun_writer import _comparison, _page, extremes_text, value_axis, write_rrd
 from sim.recording.run_log import RunLog
 from sim.recording.run_records import run_log
-from sim.recording.scene import LIFTED, LONGEST, ROAD
+from sim.recording.scene import LIFTED_COLOUR, LONGEST, ROAD
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.sim.test_recording import make_run
@@ -61,7 +61,7 @@ def test_tyre_gives_way_and_lifts(lifting: RunLog, log: Path) -> None:
     np.testing.assert_allclose(vertices[..., 2].min(axis=1), -np.minimum(tyre.radius, tyre.height), atol=GREATEST)
     np.testing.assert_allclose(abs(vertices[..., 1]).max(), tyre.half_width, atol=GREATEST)
     colours = np.array(rows(log, "/I/world/unsprung/tyre", "Mesh3D:albedo_factor"))[:, 0]
-    red = np.uint32(int.from_bytes([*LIFTED, 255], "big"))
+    red = np.uint32(int.from_bytes([*LIFTED_COLOUR, 255], "big"))
     np.testing.assert_array_equal(colours == red, tyre.lifted)
 
 

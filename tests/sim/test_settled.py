@@ -11,7 +11,7 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.frequency_response import stepwise_frequency_response
-from sim.studies.ride.expected import expect, settled, settled_shares, sources
+from sim.studies.ride.expected import expect, remaining_transient, settled_shares, sources
 from synth.vehicle.designer import Designer, certify_given
 from tests.support.analysed import sampled_responses
 from tests.support.commands import attacks
@@ -65,7 +65,7 @@ def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controlle
             there = white * np.sum(responses[signal][:, round(start / h)] ** 2) / at_samples
             # A sum is no integral for 1 rad/s of lines as far apart; measured 2.5e-2, and 1e-3 with lines a quarter as far
             assert shares[signal] == pytest.approx(there, abs=0.03)
-        found = settled(vehicle, designed, road.spectrum, h, start)
+        found = remaining_transient(vehicle, designed, road.spectrum, h, start)
         assert found is not None
         assert abs(found.share - 1) == max(abs(share - 1) for share in shares.values())
     if controller == "I":
@@ -80,7 +80,7 @@ def test_no_share_is_known_of_a_loop_without_a_linear_course(name, law):
     """A loop that grows, and one whose adjustable dampers do not give every force, have no final variance."""
     vehicle = read_vehicle(name)
     controller = certify_given(vehicle, "mine", ["sprung_velocity"], static_law(np.array([[law]])))
-    assert settled(vehicle, controller, Iso8608("C", 0, 20.0).spectrum, 4e-3, 1.0) is None
+    assert remaining_transient(vehicle, controller, Iso8608("C", 0, 20.0).spectrum, 4e-3, 1.0) is None
 
 
 def test_in_the_end_all_of_the_variance_is_there():

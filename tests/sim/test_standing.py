@@ -6,7 +6,7 @@ import numpy as np
 
 from models.vehicle.vehicle import read_vehicle
 from sim import bump
-from sim.studies.ride.standing import FIELDS, KEYS, Standing, best, compared_table, standing, standing_lines
+from sim.studies.ride.standing import FIELDS, KEYS, Score, best, compared_table, score_of, standing_lines
 from tests.support.commands import answer
 
 RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs", "--duration", "1"]
@@ -19,7 +19,7 @@ def test_passive_comes_first(capsys):
     result = answer(capsys, bump.main, *RUN)
     compared = result["compared"]["controllers"]
     assert [one["controller"] for one in compared] == ["passive", "I", "II_printed"]
-    standings = [Standing(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
+    standings = [Score(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
     assert best(standings) == result["compared"]["best"]
     for one, run in zip(compared[1:], result["runs"], strict=True):
         assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]
@@ -34,7 +34,7 @@ def test_a_table():
         "a_longer_name": (None,) * 7,
         "II": (0.4101, 0.0735, 0.36, 0.0, 99.97, 629.1, 0.0),
     }
-    standings = [Standing(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
+    standings = [Score(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
     assert standing_lines(standings, "MuJoCo, from 6 s on") == [
         "                             peak     dynamic    off the force, force,    at",
         "                  ride     travel        load     ground    rms   peak stops",
@@ -51,7 +51,7 @@ def test_a_table():
 def test_columns_of_travel_have_one_unit():
     """Travel in bump and rebound are columns in mm, with the strokes below; different strokes make columns in per cent."""
     strokes = {"bump": (0.0395, 0.085), "rebound": (0.0264, 0.095)}
-    rows = [Standing(name, dict.fromkeys(KEYS, 1.0), strokes=strokes) for name in "ab"]
+    rows = [Score(name, dict.fromkeys(KEYS, 1.0), strokes=strokes) for name in "ab"]
     table = compared_table(rows, "MuJoCo")
     cells = dict(zip(table.headings, table.rows[0], strict=True))
     assert (cells["bump travel [mm]"], cells["rebound travel [mm]"]) == ("39.5", "26.4")
@@ -68,7 +68,7 @@ def test_the_best_is_best():
         values = [None if rng.random() < 0.2 else round(10 ** rng.uniform(-3, 3), 3) for _ in range(rng.integers(1, 6))]
         names = [f"c{i}" for i in range(len(values))]
         there = {name: value for name, value in zip(names, values, strict=True) if value is not None}
-        found = best([Standing(name, dict.fromkeys(KEYS, value)) for name, value in zip(names, values, strict=True)])
+        found = best([Score(name, dict.fromkeys(KEYS, value)) for name, value in zip(names, values, strict=True)])
         for one in FIELDS:
             shown = {name: float(one.digits(value)) for name, value in there.items()}
             least = [name for name in shown if shown[name] == min(shown.values())]
@@ -77,7 +77,7 @@ def test_the_best_is_best():
 
 def test_no_force_is_no_merit():
     """The passive suspension is not the best of the forces, of which it has none, but may be the best of all else."""
-    standings = [Standing("passive", dict.fromkeys(KEYS, 0.0)), *(Standing(f"c{i}", dict.fromkeys(KEYS, i)) for i in (1.0, 2.0))]
+    standings = [Score("passive", dict.fromkeys(KEYS, 0.0)), *(Score(f"c{i}", dict.fromkeys(KEYS, i)) for i in (1.0, 2.0))]
     found = best(standings)
     assert {key for key in KEYS if found[key] == ["c1.0"]} == {"force_rms", "force_peak"}
     assert found["ride"] == ["passive"]
@@ -87,5 +87,5 @@ def test_the_worst_point_counts():
     """For a vehicle with several wheels the worst one stands in the table, whichever that is."""
     vehicle = read_vehicle("half_car")
     metrics = {"suspension_deflection_front_peak": 0.03, "suspension_deflection_rear_peak": 0.04, "off_ground_front": 0.1}
-    found = standing(vehicle, "I", metrics).values
+    found = score_of(vehicle, "I", metrics).values
     assert (found["peak_travel"], found["off_ground"], found["at_stops"]) == (0.04, 0.1, None)

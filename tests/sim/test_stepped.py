@@ -5,7 +5,7 @@ import pytest
 
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.linear.stepped import stepped
+from sim.linear.stepped import stepped_runs
 from synth.vehicle.designer import design
 from tests.support.curved import DIGRESSIVE, PROGRESSIVE, curved_text
 
@@ -91,7 +91,7 @@ def test_each_step_is_one_of_rk4(name):
     """A law with a state, a delay and a lag gives the run of the equations in this test, to rounding; `finer` is nearer to it."""
     vehicle = parse_vehicle(CARS[name])
     road = RoadInput(vehicle, Bump(0.06, 5.0, 12.5), TIME)
-    runs, signals = stepped([design(vehicle, "law")], [road]), vehicle.linear_model.states
+    runs, signals = stepped_runs([design(vehicle, "law")], [road]), vehicle.linear_model.states
     own, fine = (integrated(vehicle, road, parts) for parts in (1, 8))
     peaks = np.abs(own).max(axis=0)
     response, finer = (np.stack([one.run(0)[signal] for signal in signals], axis=-1) for one in (runs.response, runs.finer))
@@ -107,9 +107,9 @@ def test_controllers_side_by_side(name):
     vehicle = parse_vehicle(CARS[name])
     controllers = [design(vehicle, one) for one in ("law", "passive", "II_printed")]
     roads = [RoadInput(vehicle, Bump(height, 5.0, 12.5), TIME) for height in (0.02, 0.05, 0.06)]
-    together = stepped(controllers, roads).response
+    together = stepped_runs(controllers, roads).response
     for i, (controller, road) in enumerate(zip(controllers, roads, strict=True)):
-        alone = stepped([controller], [road]).response.run(0)
+        alone = stepped_runs([controller], [road]).response.run(0)
         for signal in alone.names:
             assert np.abs(together.run(i)[signal] - alone[signal]).max() <= 1e-11 * (alone.scale(signal) or 1.0), signal
     assert not together.run(1)["controller_1"].any()

@@ -14,7 +14,7 @@ from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import CONSTANT, trade_off
 from sim.studies.ride.expected import expect
-from sim.studies.ride.standing import KEYS, Standing
+from sim.studies.ride.standing import KEYS, Score
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of, refused
 
@@ -95,7 +95,7 @@ def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(dr
         for road in ("iso8608:class=B", "bump")
         for name, rms in (("passive", 0.1), ("I", 0.2), ("sky", None))
     ]
-    best: dict[Any, Any] = {name: Standing(name, dict.fromkeys(KEYS, size)) for name, size in (("I", 1.0), ("passive", 2.0))}
+    best: dict[Any, Any] = {name: Score(name, dict.fromkeys(KEYS, size)) for name, size in (("I", 1.0), ("passive", 2.0))}
     figure = trade_off(Plan(several, nothing), entries, {name: best for name in cars})
     assert figure is not None
     assert figure.finding == "one: `I` rides and holds the road best; two: `I` rides and holds the road best"

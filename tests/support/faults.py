@@ -19,7 +19,7 @@ Fault = Callable[[Any], None]
 @contextlib.contextmanager
 def built_with(fault: Fault) -> Iterator[None]:
     """Every model that is built in here has the fault, that of the energy balance, too."""
-    plain, caches = mjcf.build_spec, (mjcf.has_geometry, energy._observed, sensor_readout.prepared)
+    plain, caches = mjcf.build_spec, (mjcf.has_geometry, energy._energy_model, sensor_readout.prepared_readout)
 
     def build(vehicle: Vehicle, timestep: float) -> Any:
         spec = plain(vehicle, timestep)

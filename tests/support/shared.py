@@ -172,7 +172,7 @@ def share_designs() -> None:
 
 def share_vehicles() -> None:
     """Has every vehicle that ships read once in a process: it is frozen, and keeps its linear model."""
-    original, ships = vehicle.read_vehicle, frozenset(vehicle.shipped())
+    original, ships = vehicle.read_vehicle, frozenset(vehicle.shipped_vehicles())
     once = functools.cache(original)
 
     @functools.wraps(original)

@@ -5,7 +5,7 @@ import pytest
 
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
-from synth.design.descent.growth import WORTH, grown
+from synth.design.descent.growth import WORTH, lower_by_growth
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
 from synth.design.descent.refine import refine
@@ -156,7 +156,7 @@ def test_a_doubling_of_the_gain_has_its_price(worth):
         size = min(largest, 8.0)
         return np.array([size]), (1 - worth) ** np.log2(size)
 
-    x, value, refused = grown(np.array([1.0]), 1.0, lower, lambda before, after: 1 - after / before)
+    x, value, refused = lower_by_growth(np.array([1.0]), 1.0, lower, lambda before, after: 1 - after / before)
     if worth > WORTH:
         assert (x[0], value, refused) == (8.0, pytest.approx((1 - worth) ** 3), None)
     else:

@@ -122,12 +122,12 @@ def test_a_limit_on_entries_does_not_end_a_descent():
     plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     law = of_entries(-12.3705, 33.0421, 33.0421, -100.0)
     search = _Search(plant.measured([[1.0, 0.0]]), LowerBound(0.1), False, as_designed)
-    posed = structured_gain(LawStructure(1), search.plant)
-    landscape = search.of(posed, 1, 100.0).landscape
-    x = landscape.point(posed.gain(law))
+    problem = structured_gain(LawStructure(1), search.plant)
+    landscape = search.of(problem, 1, 100.0).landscape
+    x = landscape.point(problem.gain(law))
     start = Candidate(x, landscape.norm(x)[0], "known")
     assert start.norm == pytest.approx(0.1313465, rel=1e-5)  # six digits of the entries
-    end = search.further(posed, 1, start, 100.0, search.beyond_rounding(law, "known"))
+    end = search.further(problem, 1, start, 100.0, search.beyond_rounding(law, "known"))
     further, found = end.law, search.certified(end.law)
     assert found.failures == ()
     assert found.speed_up <= search.most

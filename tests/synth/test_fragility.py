@@ -13,7 +13,7 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from synth.__main__ import main
 from synth.analysis.uncertainty_box import ScaledGain
 from synth.controller.problem import problem
-from synth.design.uncertainty.fragility import SHARES, fragility, proved_text, rounded
+from synth.design.uncertainty.fragility import SHARES, fragility, proved_text, round_law
 from synth.design.uncertainty.problem import scaled_gain
 from synth.design.uncertainty.worst_case import norm_at
 from synth.plant.generalized import GeneralizedPlant
@@ -26,8 +26,8 @@ STEPS = 13  # of brute force along each reading's errors
 def _gain(vehicle: Vehicle, controller: str):
     designer = Designer(vehicle)
     one = designer.design(controller)
-    posed = designer.problem(one.measured)
-    return scaled_gain(posed.plant, one.law)
+    problem = designer.problem(one.measured)
+    return scaled_gain(problem.plant, one.law)
 
 
 def test_printed_controller_i_dies_where_it_cancels_the_spring():
@@ -60,17 +60,17 @@ def test_the_skyhook_bears_a_reading_that_is_missing():
 
 def test_a_force_that_is_measured_is_one_more_reading(paper):
     """A law told its own force, u = -4000 v + 0.1 u, has the norm of u = -4444 v; missing, that reading costs a tenth of it."""
-    (posed, one), (_, plain) = (
+    (plant_problem, one), (_, plain) = (
         (problem(paper, measured, DesignConditions()), static_law(np.array([gain])))
         for measured, gain in ((("sprung_velocity", "control_force"), [-4000.0, 0.1]), (("sprung_velocity",), [-4000.0 / 0.9]))
     )
-    gain = scaled_gain(posed.plant, one)
-    alone = scaled_gain(posed.plant.rows([0]), plain)
+    gain = scaled_gain(plant_problem.plant, one)
+    alone = scaled_gain(plant_problem.plant.rows([0]), plain)
     found, plainly = fragility(gain), fragility(alone)
     assert found.norm == pytest.approx(plainly.norm, rel=1e-9)
     assert np.isinf(found.stable.smallest_violation)
     assert found.stable.proved_margin == plainly.stable.proved_margin == 1.0
-    silent = posed.plant.rows([0, 1, 1])
+    silent = plant_problem.plant.rows([0, 1, 1])
     silent = replace(silent, Cy=silent.Cy * [[1], [1], [0]], Dyu=silent.Dyu * [[1], [1], [0]], Dyw=None)
     with pytest.raises(
         InputError, match=r"row 2 of \[Cy Dyu\] is zero: the signal contains no information on the state or force; omit the row"
@@ -172,21 +172,21 @@ def test_more_errors_than_corners_are_looked_at():
 def test_rounding():
     """int16 keeps multiples of the largest entry over 32767, float16 eleven bits; entries beyond float16 by a power of two."""
     law = static_law(np.array([[10824.0, -2071.0, 0.0]]))
-    steps = rounded(law, "int16").D / (10824 / 32767)
+    steps = round_law(law, "int16").D / (10824 / 32767)
     assert steps == pytest.approx(np.round(steps), abs=1e-9)  # rounding of a product
-    assert np.abs(rounded(law, "int16").D - law.D).max() <= 10824 / 32767 / 2
-    assert rounded(law, "float16").D.tolist() == [[10824.0, -2072.0, 0.0]]  # in steps of 8 above 8192, of 2 above 2048
+    assert np.abs(round_law(law, "int16").D - law.D).max() <= 10824 / 32767 / 2
+    assert round_law(law, "float16").D.tolist() == [[10824.0, -2072.0, 0.0]]  # in steps of 8 above 8192, of 2 above 2048
     law = LinearLaw(np.array([[0.5]]), np.array([[1e-3, 1.0]]), np.array([[1e5]]), np.array([[1.0, 3.0]]), 0.01)
     for to in ("int16", "float16"):  # each matrix of a law with states separately
-        found = rounded(law, to)
+        found = round_law(law, to)
         assert found.sample_period == 0.01
         for name in "ABCD":
             assert getattr(found, name) == pytest.approx(getattr(law, name), rel=2e-2)  # 1e-3 in int16 is 33 steps
-    assert rounded(law, "int16").B[0, 0] != 1e-3
-    large = rounded(static_law(np.array([[1e6, 1.0]])), "float16").D
+    assert round_law(law, "int16").B[0, 0] != 1e-3
+    large = round_law(static_law(np.array([[1e6, 1.0]])), "float16").D
     assert large[0, 0] == pytest.approx(1e6, rel=2**-11)
     assert large[0, 1] == pytest.approx(1.0, rel=2**-5)  # 2^-5 of it is below float16's normal numbers
-    assert not np.any(rounded(static_law(np.zeros((1, 2))), "int16").D)
+    assert not np.any(round_law(static_law(np.zeros((1, 2))), "int16").D)
 
 
 def test_the_command_prints_what_its_json_has(capsys):

@@ -21,9 +21,9 @@ from synth.analysis.norm import largest_singular_values
 from synth.command.trade_off import others_of
 from synth.controller.problem import problem
 from synth.vehicle.designer import Designer
-from synth.vehicle.multi_objective import weighing
+from synth.vehicle.multi_objective import with_outputs_of_norm
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
-from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
+from synth.vehicle.trade_off.continuation import rays, rays_of, undominated_rows
 from synth.vehicle.trade_off.front import Front, _limits, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
 from tests.support.commands import attacks, prose
@@ -67,7 +67,7 @@ def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, 
     """The norms of a gain on the axes, by a sweep of frequencies."""
     norms = []
     for axis in axes_of(vehicle, asked):
-        plant = problem(weighing(vehicle, axis.norm), measured, entry_of(vehicle, "I").hardware)
+        plant = problem(with_outputs_of_norm(vehicle, axis.norm), measured, entry_of(vehicle, "I").hardware)
         loop = plant.plant.closed_loop(plant.closed_loop(static_law(K))[1])
         low, high = (2 * np.pi * edge for edge in axis.norm.band)
         within = np.unique(np.clip(omega, low, high))
@@ -249,7 +249,7 @@ def test_report(monkeypatch, few):
     """A report with a front has its designs and what MuJoCo measures at some; in its figure they are what its table says."""
     pytest.importorskip("jinja2", reason="needs the extra [report]")
     monkeypatch.setattr("sim.studies.frequency.trade_off.front", lambda vehicle, name, axes, *_: replace(few, axes=axes))
-    monkeypatch.setattr(synth.vehicle.trade_off.front, "MARKED", 2)  # each is driven over two sinusoids
+    monkeypatch.setattr(synth.vehicle.trade_off.front, "MARKED_POINTS", 2)  # each is driven over two sinusoids
     designer = Designer(few.vehicle)
     scope = Subject(few.vehicle, designer, (designer.design("I"),), 2e-3, True, front="ride:travel")
     section = front_section(scope, lambda text: None)
@@ -292,7 +292,7 @@ def test_undominated():
     """For points that are alike one is left, and of others those that none is as good as in all."""
     generator = np.random.default_rng(1)
     values = generator.integers(0, 6, size=(200, 3)).astype(float)
-    kept = undominated(values)
+    kept = undominated_rows(values)
     assert len(np.unique(values[kept], axis=0)) == kept.sum()
     for i, one in enumerate(values):
         beaten = any(np.all(other <= one) and np.any(other < one) for other in values)

@@ -190,17 +190,17 @@ def test_a_discrete_plant_has_goals_too():
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
     draw = rng.standard_normal
     plant = GeneralizedPlant(A, draw((4, 1)), draw((4, 1)), draw((2, 4)), np.array([[0.0], [0.1]]), np.zeros((2, 1)), dt=0.1)
-    posed = MeasuredPlant(plant, draw((2, 4)))
+    plant_problem = MeasuredPlant(plant, draw((2, 4)))
     everywhere = NormSpecification(at_most=2 * hinf_norm(plant).value)
     problem = MultiObjectiveProblem(
-        (FamilyMember((posed, posed)),),
+        (FamilyMember((plant_problem, plant_problem)),),
         NormSpecification(band=(2.0, 12.0)),
         GainErrors(np.zeros(2), np.zeros(1)),
         np.ones((1, 2), dtype=bool),
         (replace(everywhere, which=1),),
     )
     design = multi_objective_design(problem, [np.zeros((1, 2))])
-    reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
+    reached = norm_in_band(plant.closed_loop(design.gain @ plant_problem.Cy), 2.0, 12.0).value
     assert design.goal == pytest.approx(reached, rel=1e-7)
     assert reached <= norm_in_band(plant, 2.0, 12.0).value
     with pytest.raises(InputError, match="for continuous plants only"):
@@ -246,9 +246,9 @@ def test_a_band_with_errors(paper):
     without, with_errors = controller.specifications[:2]
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    posed = goal_problem(vehicle, entry, entry.goals).members[0].posed[0]
+    problem = goal_problem(vehicle, entry, entry.goals).members[0].posed[0]
     met = [
-        norm_in_band(posed.closed_loop(controller.gain * [1.0, 1.0 + error] @ posed.Cy), 0.5 * HZ, 10 * HZ).value
+        norm_in_band(problem.closed_loop(controller.gain * [1.0, 1.0 + error] @ problem.Cy), 0.5 * HZ, 10 * HZ).value
         for error in np.linspace(-0.2, 0.2, 41)
     ]
     assert with_errors.proved is not None
@@ -279,12 +279,12 @@ def boxed(seed: int) -> MultiObjectiveProblem:
     A = A - np.eye(2) * (np.linalg.eigvals(A).real.max() - 0.2)
     B, Bw, C = rng.standard_normal((2, 2)), rng.standard_normal((2, 1)), np.eye(3, 2) * [[1.0, 0.0]]
     plant = GeneralizedPlant(A, B, Bw, C, np.array([[0, 0], [0.1, 0], [0, 0.1]]), np.zeros((3, 1)))
-    posed, errors = (
+    problem, errors = (
         MeasuredPlant(plant, rng.standard_normal((3, 2))),
         GainErrors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01])),
     )
     return MultiObjectiveProblem(
-        (FamilyMember((posed,)),), NormSpecification(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6
+        (FamilyMember((problem,)),), NormSpecification(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6
     )
 
 
@@ -294,11 +294,11 @@ def test_no_design_is_unstable_in_its_box(seed):
     """If only a norm in a band counts, a design for random plants is stable at all corners of its box and inside, and proved."""
     asked, rng = boxed(seed), np.random.default_rng(seed)
     design = multi_objective_design(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))])
-    posed, sides = asked.members[0].posed[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
+    problem, sides = asked.members[0].posed[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
     for signs in (*corners, *rng.uniform(-1, 1, (200, 5))):
         off = 1 + signs * sides
-        loop = posed.A + posed.B @ (off[3:, None] * design.gain * off[:3]) @ posed.Cy
+        loop = problem.A + problem.B @ (off[3:, None] * design.gain * off[:3]) @ problem.Cy
         assert np.linalg.eigvals(loop).real.max() < 0
     assert design.unproved == ()
 

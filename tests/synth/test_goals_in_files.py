@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.common.schema import required
+from models.common.schema import required_keys
 from models.document.figure import Spans
 from models.laws.goals import BOUNDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -76,7 +76,7 @@ def test_what_is_no_bound_is_offered_every_kind():
     with pytest.raises(InputError) as error:
         vehicle_with(f"measured = {TWO}\nbounds = [{{ foo = 1 }}]")
     offered = re.findall(r"\{ (?!foo)[^}]*\}", str(error.value).partition("one of")[2])
-    assert [text.split()[1] for text in offered] == [required(one)[0] for one in BOUNDS]
+    assert [text.split()[1] for text in offered] == [required_keys(one)[0] for one in BOUNDS]
     bounds = ", ".join(offered).replace("SIGNAL", '"suspension_deflection"').replace("ROAD", '"bump"')
     goals = vehicle_with(f"measured = {TWO}\nbounds = [{bounds}]").controllers["goal"].goals
     assert goals is not None

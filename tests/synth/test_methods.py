@@ -10,7 +10,7 @@ import pytest
 from models.common.errors import InputError
 from models.laws.design_methods import BY_OTHER_KEYS, DESIGNS, METHODS
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.vehicle import read_vehicle, shipped
+from models.vehicle.vehicle import read_vehicle, shipped_vehicles
 from synth.analysis import stability
 from synth.design import degenerate
 from synth.design.methods import design
@@ -38,8 +38,8 @@ def problem_of(name: str = "quarter_car", controller: str = "I") -> DesignProble
     """The design problem of a controller of a vehicle that ships."""
     designer = Designer(read_vehicle(name))
     entry = designer.vehicle.linear_entry(controller)
-    posed = designer.problem(entry.measured, entry.hardware)
-    return designer.design_problem(entry, posed, designer.lower_bound(entry.measured, entry.hardware))
+    problem = designer.problem(entry.measured, entry.hardware)
+    return designer.design_problem(entry, problem, designer.lower_bound(entry.measured, entry.hardware))
 
 
 def test_few_functions_design_the_paper_s_controller():
@@ -67,10 +67,10 @@ def is_two_step(entry: ControllerEntry) -> bool:
     return entry.source.request is not None and entry.request.two_steps and entry.goals is None
 
 
-@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], shipped()))
+@pytest.mark.parametrize("name", in_the_suite(["quarter_car", "full_car"], shipped_vehicles()))
 def test_no_shipped_car_is_degenerate(name, monkeypatch):
     """The two steps of a vehicle that ships enter nothing that is for plants without an optimum."""
-    monkeypatch.setattr(degenerate, "regularised", None)
+    monkeypatch.setattr(degenerate, "regularise_problem", None)
     monkeypatch.setattr(degenerate, "check_marginal_modes", None)
     vehicle = read_vehicle(name)
     static = [name for name, one in vehicle.controllers.items() if is_two_step(one)]

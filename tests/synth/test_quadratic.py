@@ -13,7 +13,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import hinf_norm
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
-from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
+from synth.design.full_order.quadratic import ASSUMED_SIZE, h2_design, h2_norm, lqg_design, lqr_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
@@ -116,7 +116,7 @@ def test_cars(kind):
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
     said = "this design needs noise on every measurement"
-    assert lqg.remark == f"{said}; {100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
+    assert lqg.remark == f"{said}; {100 * ASSUMED_SIZE:g} % of the plant's own size was assumed where they are missing"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark

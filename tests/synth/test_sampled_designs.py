@@ -378,7 +378,7 @@ def test_noise_tends_to_that_of_the_continuous_loop():
         vehicle = built(period, 0, None, f"{I}gain = [[9000.0, -8000.0]]\nnoise = true\n", "sprung_velocity = 1.0")
         controller = Designer(vehicle).design("mine")
         off.append(norm_as_implemented(vehicle, controller).value / controller.certificate.norm.value - 1)
-        without = norm_as_implemented(vehicle, controller.quiet).value
+        without = norm_as_implemented(vehicle, controller.without_noise).value
         assert norm_as_implemented(vehicle, controller).value > without * 1.01  # so that the noise is seen at all
     assert abs(off[0]) < 0.01
     assert off[0] / off[1] == pytest.approx(2, rel=0.05)  # the next term is of order two

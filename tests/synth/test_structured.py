@@ -7,7 +7,7 @@ from synth.analysis.uncertainty_box import lmi
 from synth.design.two_step import two_step_design
 from synth.lmi import central_path as central
 from synth.lmi import structured_barrier as structured
-from synth.lmi.barrier import Barrier, Factored
+from synth.lmi.barrier import Barrier, FactoredDerivatives
 from synth.lmi.central_path import central_path
 from synth.lmi.stacked_barrier import StackedBarrier
 from synth.lmi.structured_barrier import StructuredBarrier, path_constraints, start_constraints
@@ -47,7 +47,7 @@ def both(plant: GeneralizedPlant, free: int, phase: str) -> tuple[Barrier, Struc
     return dense, StructuredBarrier(constraints, n, m, free), basis
 
 
-def hessian(here: Factored) -> np.ndarray:
+def hessian(here: FactoredDerivatives) -> np.ndarray:
     R = np.triu(here.triangle) / here.scale
     return R.T @ R
 

@@ -27,8 +27,8 @@ Car = tuple[GeneralizedPlant, Array]
 @pytest.fixture(scope="module")
 def car() -> Car:
     """The quarter-car's plant and what controller I measures of it."""
-    posed = Designer(read_vehicle("quarter_car")).problem(("suspension_deflection", "sprung_velocity"))
-    return posed.plant.unmeasured, posed.plant.Cy
+    problem = Designer(read_vehicle("quarter_car")).problem(("suspension_deflection", "sprung_velocity"))
+    return problem.plant.unmeasured, problem.plant.Cy
 
 
 @pytest.mark.parametrize(
@@ -189,12 +189,12 @@ def _definite(M: list[list[Fraction]]) -> bool:
 
 def test_an_exact_proof_holds_in_rational_numbers(car: Car):
     """At every corner of the parts of a box X > 0 and (20) < 0 without any rounding, from the plant's and the gain's numbers."""
-    posed, (K,) = car[0].measured(car[1]), [[*map(Fraction, row)] for row in PRINTED_I.tolist()]
+    problem, (K,) = car[0].measured(car[1]), [[*map(Fraction, row)] for row in PRINTED_I.tolist()]
     proof = worst_norm(*car, PRINTED_I, 0.2).proof
     assert isinstance(proof, BoxProof)
     assert proof.kind == "common X, exact"
     exact = np.vectorize(Fraction, otypes=[object])
-    A, B, Bw, C, D, Dw, Cy = (exact(getattr(posed, name)) for name in ("A", "B", "Bw", "C", "D", "Dw", "Cy"))
+    A, B, Bw, C, D, Dw, Cy = (exact(getattr(problem, name)) for name in ("A", "B", "Bw", "C", "D", "Dw", "Cy"))
     W, eta = np.vstack([Bw, Dw]), Fraction(proof.eta)
     for part, X in proof.parts:
         assert _definite(exact(X).tolist())

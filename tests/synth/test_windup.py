@@ -15,9 +15,9 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.drive.case import Batch, Case
 from sim.drive.drive import drive
-from sim.drive.loop import DIVERGED, Block
+from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.observers.ends import Ends
-from sim.observers.results import BALANCED
+from sim.observers.results import BALANCE_TOLERANCE
 from sim.runs.report import controller_notes, controller_record, events, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride import run_metrics
@@ -154,7 +154,7 @@ def test_a_request_that_swings_behind_a_lag():
         assert energy is not None
         assert steps.agrees
         assert energy.balances
-        assert energy.allowed == BALANCED  # what is left over is RK4's at once, without a look at half the step
+        assert energy.allowed == BALANCE_TOLERANCE  # what is left over is RK4's at once, without a look at half the step
         left.append(energy.residual)
     assert left[0] / left[1] > 4  # at least first order in a quarter of the step; measured 47
 
@@ -179,7 +179,7 @@ def test_a_batch_keeps_what_others_ask_for():
     ends, last = drive(cases, sample_times(vehicle, 1.2, 1e-3), Ends, Last, streamed=True)
     assert [one.law_diverged for one in ends] == [True, False]
     assert [math.isfinite(one.diverged) for one in ends] == [True, False]
-    assert abs(last[0]) <= DIVERGED
+    assert abs(last[0]) <= DIVERGENCE_LIMIT
     assert abs(last[1]) > 1e10
 
 

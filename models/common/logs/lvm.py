@@ -6,7 +6,7 @@ numbers follow. `X_Columns` is "One" for a first column of times, "Multi" for on
 times that only `X0` and `Delta_X` give.
 """
 
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, short_repr
 
 MAGIC, END = "LabVIEW Measurement", "***End_of_Header***"
 TIME = "time [s]"
@@ -32,7 +32,7 @@ def lvm_text(text: str) -> str:
     while names and names[-1] in ("", "Comment"):
         names.pop()
     if dimension := next((one for one in segment.get("X_Dimension", ()) if one not in ("", "Time")), ""):
-        raise InputError(f"X_Dimension is {quoted(dimension)}, but only 'Time' is supported; export the channels over time")
+        raise InputError(f"X_Dimension is {short_repr(dimension)}, but only 'Time' is supported; export the channels over time")
     starts, steps = ([one for one in segment.get(key, ()) if one] for key in ("X0", "Delta_X"))
     columns = about.get("X_Columns", "One").strip().lower()
     if columns == "multi" and len({*starts}) * len({*steps}) != 1:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, alike, first_few, listing, quoted
+from models.common.errors import InputError, alike, first_few, list_names, short_repr
 from models.common.files import reading
 from models.common.quantities import CORNERS, NAMES, Heading, columns_in_words, heading_of, left_out_words
 from models.common.table import find_table, table_text
@@ -88,7 +88,7 @@ def read_measured_log(
             raise InputError(f"a sample rate of {rate:g} Hz is not allowed; give a number above 0")
         for name in columns:
             if name not in units:
-                raise InputError(f"there is no signal {quoted(name)} to compare; give one of {alike(name, units)}")
+                raise InputError(f"there is no signal {short_repr(name)} to compare; give one of {alike(name, units)}")
         table = find_table(table_text(path), GIVE)
         table = replace(table, count=max(len(cells) for _, cells in islice(table.rows(), ROWS)))
         headings = table.headings({*units.values(), "s"}, alike=True)
@@ -97,7 +97,7 @@ def read_measured_log(
         clocks = [one for one in headings if _is_time(one)]
         clocks = [one for one in clocks if one.quantity == "time"] or clocks
         if rate is None and not clocks:
-            found = first_few([quoted(one.text) for one in headings if one.text], 8)
+            found = first_few([short_repr(one.text) for one in headings if one.text], 8)
             raise InputError(
                 f"no column is called time (columns: {found}); name it as in time [s], or give the sample rate (--beside-rate)"
             )
@@ -156,15 +156,15 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
         if len(ones) > 1:
             raise InputError(f"{columns_in_words(ones)} are all {name}; rename all but one")
         if name in columns and not ones:
-            texts = alike(columns[name], [quoted(one.text) for one in headings if one.text])
-            raise InputError(f"no column is called {quoted(columns[name])}; the columns are {texts}")
+            texts = alike(columns[name], [short_repr(one.text) for one in headings if one.text])
+            raise InputError(f"no column is called {short_repr(columns[name])}; the columns are {texts}")
         used |= {name: ones[0]} if ones else {}
     if not used:
         near = [name for one in headings for name in get_close_matches(one.name.lower().replace(" ", "_"), units, 1)]
-        found = first_few([quoted(one.text) for one in headings if one.text], 8) or "without names"
+        found = first_few([short_repr(one.text) for one in headings if one.text], 8) or "without names"
         raise InputError(
             f"no column is called like a signal (columns: {found}); rename one, or give --beside-column SIGNAL=HEADING; nearest "
-            f"signals: {listing({*near} or units)}"
+            f"signals: {list_names({*near} or units)}"
         )
     return used
 
@@ -178,7 +178,7 @@ def _scale(heading: Heading, si: str, name: str) -> float:
     size = unit_size(heading.unit or si, si)
     if size is None:
         raise InputError(
-            f"{columns_in_words([heading])} has the unit {quoted(heading.unit)}, but {name} is in {si}; write the heading as in "
-            f"{name} [{si}], and convert the column"
+            f"{columns_in_words([heading])} has the unit {short_repr(heading.unit)}, but {name} is in {si}; write the heading "
+            f"as in {name} [{si}], and convert the column"
         )
     return size

@@ -25,7 +25,7 @@ from models.parts.part import Line, Number, Part
 ATMOSPHERE = 101325.0  # Pa
 USUAL = 293.15  # K
 NARROWEST = 0.02  # share of the volume at rest; a real spring is on its stop before
-DRAWN = 0.5  # share of the gas column at rest, up to which the curve is drawn, either way
+DRAWN_SHARE = 0.5  # share of the gas column at rest, up to which the curve is drawn, either way
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class GasSpring(Part, Section):
     @property
     def reach(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Deflection up to which the curve is drawn [m]."""
-        return float(DRAWN * np.min(self.column))
+        return float(DRAWN_SHARE * np.min(self.column))
 
     def _inside(self, d: Array) -> Array:
         """Returns the deflections down to the narrowest volume [m], at which the pressure stays."""

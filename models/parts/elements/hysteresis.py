@@ -24,7 +24,7 @@ import numpy as np
 
 from models.characteristics import LEAVES
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.schema import SI
 from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
@@ -65,7 +65,7 @@ class Hysteretic(Part):
                 "smaller voltage"
             )
         if not any(getattr(self, f"{name}_per_volt") for name in self.by_voltage):
-            numbers = listing(f"{name}_per_volt" for name in self.by_voltage)
+            numbers = list_names(f"{name}_per_volt" for name in self.by_voltage)
             raise InputError(f"largest_voltage has no effect without {numbers}; give one of these, or omit largest_voltage")
 
     @property

@@ -25,7 +25,7 @@ class Inerter(Part, Section):
         return self.inertance
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         return False
 
     @property

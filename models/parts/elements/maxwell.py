@@ -35,7 +35,7 @@ class Maxwell(Part, Section):
         return self.stiffness * np.square(z[..., 0]) / 2
 
     @property
-    def bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         return False
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.python_law import Programmed, is_driver
+from models.laws.python_law import PythonController, is_driver
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.drive.driver import Driver, Failure, Request
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, and its law is no longer called
 
 
-def in_python(controllers: Sequence[Programmed], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
+def in_python(controllers: Sequence[PythonController], failures: dict[int, Failure] | None, numbers: Sequence[int]) -> Driver:
     """Returns the driver of a law in Python: the user's own, if the law is one."""
     law = controllers[0]
     return law.function if is_driver(law.function) else PythonDriver(law, failures, numbers)
@@ -31,7 +31,7 @@ class PythonDriver:
 
     ahead = 0
 
-    def __init__(self, controller: Programmed, failures: dict[int, Failure] | None, numbers: Sequence[int]) -> None:
+    def __init__(self, controller: PythonController, failures: dict[int, Failure] | None, numbers: Sequence[int]) -> None:
         """Takes the controller.
 
         Args:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from models import USUAL_TIMESTEP
 from models.common.command import Parser
 from models.common.errors import InputError
-from models.common.printed import titled
+from models.common.printed import title_lines
 from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ examples:
             lines += ["", *text_lines(workshop(vehicle, result.sweeps))]
         elif result.sweeps:
             lines.append("  -v adds errors of each signal, invariants, norms and EUSAMA's minimum loads")
-        return [*titled(f"{document.title} of {vehicle.kind.name}", vehicle.source), *lines, *files]
+        return [*title_lines(f"{document.title} of {vehicle.kind.name}", vehicle.source), *lines, *files]
 
     def holds(self, result: Responses) -> bool:
         from sim.studies.frequency.sweep import holds

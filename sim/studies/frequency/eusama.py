@@ -30,14 +30,14 @@ from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
 from sim.runs.agreement import COARSEST, SLACK
 from sim.studies.frequency.identification import ideal_measurements
-from sim.studies.frequency.sinusoids import ALIASED, HIGHEST, PeriodicRoad, PeriodicRun, drive_periodic, whole_periods
+from sim.studies.frequency.sinusoids import ALIASING_LIMIT, HIGHEST, PeriodicRoad, PeriodicRun, drive_periodic, whole_periods
 from synth.controller.controller import Controller
 
 STROKE = 3e-3  # m, the plate's amplitude
 LOWEST, GRID = 0.3, 600  # Hz, frequencies: below it a wheel follows its plate
 WINDOW = 4.0  # s of whole periods that are fitted
-TURNING = 1e-3  # of a tyre's response: what the body's turning may make of it; 3 mm under one wheel of a car make 1e-5
-DISPUTED = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
+TURNING_SHARE = 1e-3  # of a tyre's response: what the body's turning may make of it; 3 mm under one wheel of a car make 1e-5
+DISPUTED_LIMIT = "disputed: stiff tyres under light axles fail with sound dampers (Klapka, Mazurek, Machacek 2016)"
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class MinimumLoad:
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 
-LEFT = Field[float]("share of the load", lambda one: one, ".5f")
+SHARE_OF_LOAD = Field[float]("share of the load", lambda one: one, ".5f")
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
@@ -80,7 +80,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
-    highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
+    highest = min(HIGHEST, ALIASING_LIMIT / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
     pairs = [(controller, i) for controller in controllers for i in range(len(wheels))]
     worst = [_worst(vehicle, *pair, highest, timestep) for pair in pairs]
     plates = [_plate(wheels[i].road_velocity, omega, timestep) for (_, i), omega in zip(pairs, worst, strict=True)]
@@ -194,7 +194,7 @@ def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float
         if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
             carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])
         measured = 1 - float(np.abs(carried)) / static[tyre]
-    allowed = math.inf if bends else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
+    allowed = math.inf if bends else share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING_SHARE)
     peak = float(_amplitude(vehicle, controller, wheel, np.array([omega]), timestep, linalg.expm)[0])
     return MinimumLoad(tyre, max(0.0, 1 - share * peak), omega, 1 - share * exact, measured, allowed, tuple(ended))
 
@@ -202,7 +202,8 @@ def _load(run: PeriodicRun, wheel: int, omega: float, static: Mapping[str, float
 def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
     """Returns the minimum loads that differ from the prediction, in words."""
     return [
-        f"in EUSAMA's test, {one.tyre} keeps {LEFT.text(one.measured)} of its static load; {LEFT.text(one.driven)} is predicted"
+        f"in EUSAMA's test, {one.tyre} keeps {SHARE_OF_LOAD.text(one.measured)} of its static load; "
+        f"{SHARE_OF_LOAD.text(one.driven)} is predicted"
         for one in loads
         if not one.ended and not abs(one.measured - one.driven) <= one.allowed
     ]
@@ -217,6 +218,6 @@ TYRE = Record[MinimumLoad](
     ended="ended",
 )
 RECORD = Record[Sequence[MinimumLoad]](
-    disputed=lambda loads: DISPUTED.removeprefix("disputed: "),
+    disputed=lambda loads: DISPUTED_LIMIT.removeprefix("disputed: "),
     tyres=TYRE.all(lambda loads: {one.tyre: one for one in loads}),
 )

@@ -36,7 +36,7 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
-    z = [_weighted(vehicle, side, period) for side in _sides(vehicle, response, periodic=False)]
+    z = [_weighted_outputs(vehicle, side, period) for side in _sides(vehicle, response, periodic=False)]
     return _size(z) / _road_size(vehicle, response)
 
 
@@ -54,7 +54,7 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
         z = [np.fft.irfft(weights * np.fft.rfft(side, axis=0), count, axis=0) for side in sides]
         shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
     else:
-        z = [_weighted(vehicle, side, period) for side in sides]
+        z = [_weighted_outputs(vehicle, side, period) for side in sides]
     return float(shape * _size(z) / _road_size(vehicle, response))
 
 
@@ -81,12 +81,12 @@ def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic
     return signals - np.diff(forces, axis=0, prepend=before) @ vehicle.summed(vehicle.linear_model.D, axis=0).T
 
 
-def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
+def _weighted_outputs(vehicle: Vehicle, signals: Array, period: float) -> Array:
     """Returns z for the output signals and sums, shape (T, p) both."""
     weighted = [(vehicle.performance.get(name, 0.0), vehicle.filters.get(name)) for name in vehicle.linear_model.outputs]
     weighted += [(one.weight, one.filter) for one in vehicle.sums]
     rows = [
-        weight * (_filtered(one, values, period) if one is not None else values)
+        weight * (_filter_signal(one, values, period) if one is not None else values)
         for (weight, one), values in zip(weighted, signals.T, strict=True)
     ]
     return np.stack(rows, axis=-1)
@@ -107,7 +107,7 @@ def _road_size(vehicle: Vehicle, response: Response) -> float:
     return float(np.linalg.norm(_columns(response, [wheel.road_velocity for wheel in vehicle.kind.wheels])))
 
 
-def _filtered(one: Filter, values: Array, period: float) -> Array:
+def _filter_signal(one: Filter, values: Array, period: float) -> Array:
     """Returns a signal through a filter, from rest."""
     law = one.realisation.sampled(period)
     from scipy.signal import dlsim  # half a second

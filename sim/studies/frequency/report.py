@@ -9,13 +9,13 @@ from models.common.printed import as_name, difference, percent
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, at_most
 from models.document.reading import MANY
-from models.document.text import joined, names_text
+from models.document.text import join_words, names_text
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.observers.results import WHEN
 from sim.studies.frequency.describing_function import STEADY, DescribingFunction, describing_failures
-from sim.studies.frequency.eusama import DISPUTED, MinimumLoad
+from sim.studies.frequency.eusama import DISPUTED_LIMIT, MinimumLoad
 from sim.studies.frequency.figure import HERTZ, STEP
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sinusoids import HIGHEST, LOWEST
@@ -66,7 +66,7 @@ INVARIANTS: tuple[Field[tuple[str, MeasuredInvariant]], ...] = (
     Field("MuJoCo", lambda of: of[1].measured, ".6f"),
     Field("difference", lambda of: of[1].error, difference),
 )
-MOVING: tuple[Field[tuple[DescribingFunction, int]], ...] = (
+MOVING_PARTS: tuple[Field[tuple[DescribingFunction, int]], ...] = (
     Field("controller", lambda of: of[0].controller.name),
     Field("signal", lambda of: of[0].outputs[of[1]].replace("_", " ")),
     Field("unit", lambda of: f"{of[0].units[of[1]]} per m/s"),
@@ -116,7 +116,7 @@ def describe(
         caption = "Describing functions: fundamentals per road velocity, and the share of energy at other frequencies."
         moving = [(one, i) for one in own for i in one.moving]
         detail = "normal" if len(moving) <= MANY else "full"
-        tables.append(Table.of("describing-functions", caption, MOVING, moving, 3, detail=detail))
+        tables.append(Table.of("describing-functions", caption, MOVING_PARTS, moving, 3, detail=detail))
     return Document("Frequency response", (*text, *tables))
 
 
@@ -142,7 +142,7 @@ def _claims(lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> Iterator[Stateme
             yield Statement(f"{as_name(name)} DOES NOT AGREE: {text}.", "fails", "full" if i else "normal")
     for one in sweeps or lines:
         if one.ended:
-            yield Statement(f"{as_name(one.controller.name)} left the linear regime: {joined([*one.ended])}.", "ends")
+            yield Statement(f"{as_name(one.controller.name)} left the linear regime: {join_words([*one.ended])}.", "ends")
 
 
 def _largest(one: Sweep | None) -> str:
@@ -222,7 +222,7 @@ def _law_statements(one: DescribingFunction) -> Iterator[Statement]:
             first = WHEN.text(float(np.min(one.diverged[which])))
             yield Statement(f"{name}: {np.sum(which)} of {count} runs {how}, the first at {first}. These runs are not measured.")
     if one.ended:
-        yield Statement(f"{name} left the linear regime: {joined([*one.ended])}.")
+        yield Statement(f"{name} left the linear regime: {join_words([*one.ended])}.")
     if one.drift > STEADY:
         drift, period = SHARE.text(one.drift), HERTZ.text(HZ * one.omega[0])
         yield Statement(f"The run with {name} has not settled: a fundamental changed by {drift} in one period of {period}.")
@@ -233,7 +233,7 @@ def workshop(vehicle: Vehicle, sweeps: Sequence[Sweep]) -> Document:
     """Returns the document on EUSAMA's test: the minimum load of each wheel under each controller."""
     text = [
         "A plate under one wheel at a time moves by 6 mm, at up to 25 Hz. Workshops grade dampers by the smallest tyre load, in "
-        f"% of the static load (EUSAMA TS-02-76). This test is {DISPUTED}."
+        f"% of the static load (EUSAMA TS-02-76). This test is {DISPUTED_LIMIT}."
     ]
     text += [f"{words}."] if (words := at_rest_words(vehicle)) else []
     loads = [(one.controller.name, load) for one in sweeps for load in one.loads]

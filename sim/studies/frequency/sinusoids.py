@@ -26,7 +26,7 @@ from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
 
 LOWEST, HIGHEST = 0.1, 25.0  # Hz
-ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
+ALIASING_LIMIT = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
 IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
 DEAD = 1e-12  # free motion that has decayed to this is none
 LEFT, LEFT_IN_SIGNALS = 1e-7, 1e-6  # of free motion that is not fitted, where lines are fitted, and where signals are read
@@ -175,7 +175,7 @@ def chirp_lines(vehicle: Vehicle, timestep: float, count: int) -> tuple[Array, i
     steps = steps_per_sample(vehicle.implementation, timestep)
     period = round(1 / LOWEST / timestep / steps) * steps
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, count)))
-    return omega[omega < ALIASED * np.pi / (steps * timestep)], period
+    return omega[omega < ALIASING_LIMIT * np.pi / (steps * timestep)], period
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:

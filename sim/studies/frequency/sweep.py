@@ -27,7 +27,7 @@ LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
 SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # share of the road's height, and least height [m], at which turning is told from error
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
-REACHED = 1e-3  # below the norm
+NORM_TOLERANCE = 1e-3  # below the norm
 OFF = Field[float]("error", lambda one: one, "{:.2e}".format)
 GAIN = Field[float]("L2 gain", lambda one: one, digits)
 
@@ -95,7 +95,7 @@ def sweep(
             off = [one for one in off if not _off(small[one.name])[0] <= _off(small[one.name])[1]]
     ideal = ideal_measurements(near)
     norms = [
-        None if one.preview is not None or _reads_road(ideal, one) else norm_if_implemented(ideal, one.quiet, timestep)
+        None if one.preview is not None or _reads_road(ideal, one) else norm_if_implemented(ideal, one.without_noise, timestep)
         for one in controllers
     ]
     noise = vehicle.implementation.noise_text
@@ -149,7 +149,7 @@ def _failures(one: Sweep, rounds: bool) -> list[str]:
     if not one.is_bounded:
         return failed
     own = min(SLACK * abs(one.extremes.integrated - norm), COARSEST * norm)
-    low, high, what = norm * (1 - REACHED) - own, norm * (1 + ABOVE) + own, "the discrete-time norm"
+    low, high, what = norm * (1 - NORM_TOLERANCE) - own, norm * (1 + ABOVE) + own, "the discrete-time norm"
     if not one.extremes.lti:
         predicted, finer = one.extremes.predicted
         near = ABOVE * predicted + own

@@ -18,7 +18,7 @@ from synth.command.trade_off import others_of, usual
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.numerics import DesignError
-from synth.vehicle.multi_objective import weighing
+from synth.vehicle.multi_objective import with_outputs_of_norm
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of
 from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
@@ -75,7 +75,7 @@ def measure(scope: Subject, trade_off: Front, i: int, axis: FrontAxis, turn: flo
     norm = trade_off.points[i].norms[k]
     if axis.off or not norm.value or controller.hardware.loads or any(controller.hardware.noise):
         return 0.0 if not norm.value else math.nan
-    vehicle = ideal_measurements(weighing(scope.vehicle, axis.norm))
+    vehicle = ideal_measurements(with_outputs_of_norm(scope.vehicle, axis.norm))
     omega = _driven_at(vehicle, controller, norm.value, norm.at)
     if not np.isfinite(omega):
         return math.nan

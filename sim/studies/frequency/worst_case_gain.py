@@ -133,7 +133,7 @@ def extremes(
         gains = {"worst sinusoid": settled_gain(vehicle, periods, tried)}
         gains |= {name: gain for name, run in runs.items() if (gain := l2_gain(vehicle, run)) is not None}
         predicted = tuple(_sinusoid_gain(vehicle, controller, tried, h, speed) for h in (timestep, timestep / 2) if not lti)
-        invariants = () if at_invariants is None else _measured(at_invariants)
+        invariants = () if at_invariants is None else _measure_invariants(at_invariants)
         integrated = worst_of(controller, taylor4).gain
         results.append(Extremes(one, integrated, tried, predicted, gains, invariants, tuple(ended), lti))
     return results
@@ -162,7 +162,7 @@ def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, tim
     return periods, count * steps
 
 
-def _measured(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
+def _measure_invariants(run: PeriodicRun) -> tuple[MeasuredInvariant, ...]:
     """Returns the invariants of a vehicle, measured at the end of a run along them."""
     p, kind = run.vehicle.parameters, run.vehicle.kind
     lines = run.lines(with_images=True)

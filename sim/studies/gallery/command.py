@@ -37,12 +37,12 @@ examples:
 
     def run(self, request: StudyRequest, progress: Progress) -> "list[Result]":
         from sim.studies.gallery.entries import names, read_entry
-        from sim.studies.gallery.numbers import compared
+        from sim.studies.gallery.numbers import compare_numbers
 
         results = []
         for entry in [read_entry(name) for name in dict.fromkeys(request.options.name or names())]:
             progress(entry.name)
-            results.append((entry, compared(entry)))
+            results.append((entry, compare_numbers(entry)))
         return results
 
     def describe(self, request: StudyRequest, result: "list[Result]") -> "Document":

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.common.files import parse_toml
-from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, Listed, ReadBy, Section, Subsection, Text, read
+from models.common.schema import HERE, LARGEST, SI, Choice, Flag, Integer, ListedValues, ReadBy, Section, Subsection, Text, read
 from models.kinds import kind
 from models.roads.description import read_road
 from models.roads.road import Bump, Road
-from synth.vehicle.paper import PRINTED
+from synth.vehicle.paper import PRINTED_NUMBERS
 
 FOLDER = kind.HERE / "gallery"
 PAPER = "paper"
@@ -47,7 +47,7 @@ SOURCES = (
 def _road(value: Any, context: Mapping[str, Any]) -> Road:
     """Returns the road of a table; without its `type` it is a bump, or with an `edge` a step."""
     if not isinstance(value, Mapping):
-        raise InputError(f"{HERE} = {quoted(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
+        raise InputError(f"{HERE} = {short_repr(value)} is not a table; give a table, as in {{ height = 0.05, length = 2.5 }}")
     return read_road(HERE, {"type": "step" if "edge" in value else "bump", **value})
 
 
@@ -62,7 +62,9 @@ class PrintedNumber(Section):
     vehicle: Annotated[str, Text("vehicle file in the entry's folder")] = CAR
     controller: Annotated[str, Text("name of a controller of the vehicle file")] = "passive"
     signal: Annotated[str, Text("output signal")] = ""
-    at: Annotated[tuple[int, ...], Listed("row and column of an entry of a matrix, from 0; a scalar has none", Integer())] = ()
+    at: Annotated[
+        tuple[int, ...], ListedValues("row and column of an entry of a matrix, from 0; a scalar has none", Integer())
+    ] = ()
     hertz: Annotated[float, SI("Hz", "frequency", 0.0)] = 0.0
     road: Annotated[Road, ReadBy("a road; without its `type` a bump, or with an `edge` a step", _road)] = PAPER_BUMP
     duration: Annotated[float, SI("s", "duration of the run")] = 3.0
@@ -112,10 +114,10 @@ class Entry(Section):
     title: Annotated[str, Text("title of the publication")]
     source: Annotated[str, Text("reference or address")]
     licence: Annotated[str, Text("licence, and the parts that are copied here")]
-    printed: Annotated[tuple[PrintedNumber, ...], Listed("the numbers that can be compared", NUMBERS, least=0)] = ()
-    missing: Annotated[tuple[MissingNumber, ...], Listed("numbers that cannot be compared", REASONS, least=0)] = ()
+    printed: Annotated[tuple[PrintedNumber, ...], ListedValues("the numbers that can be compared", NUMBERS, least=0)] = ()
+    missing: Annotated[tuple[MissingNumber, ...], ListedValues("numbers that cannot be compared", REASONS, least=0)] = ()
     about: Annotated[str, Text("description in a sentence")] = ""
-    sources: Annotated[tuple[str, ...], Listed("entries of `SOURCES` with numbers in it", Choice("", SOURCES))] = ()
+    sources: Annotated[tuple[str, ...], ListedValues("entries of `SOURCES` with numbers in it", Choice("", SOURCES))] = ()
 
     @property
     def folder(self) -> Path:
@@ -135,7 +137,7 @@ def read_entry(name: str) -> Entry:
         InputError: the entry does not exist, or its file has an unknown key.
     """
     if name not in names():
-        raise InputError(f"unknown entry {name!r}; the gallery has {listing(names())}")
+        raise InputError(f"unknown entry {name!r}; the gallery has {list_names(names())}")
     if name == PAPER:
         return _paper()
     path = FOLDER / name / "entry.toml"
@@ -156,7 +158,7 @@ def _paper() -> Entry:
             reason=one.reason,
             within=SHORT * bool(one.reason),
         )
-        for one in PRINTED
+        for one in PRINTED_NUMBERS
     )
     title = "Static output-feedback H-infinity controllers for vehicle suspensions, equations (40) to (60)"
     source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy import linalg
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.roads.road import Road
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
@@ -143,7 +143,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
     """Returns how a metric of a signal's response to a step is found, of the continuous loop."""
 
     def found(designer: Designer, one: PrintedNumber) -> float:
-        metrics = _steps(driven(designer, one), one.band)[one.signal].continuous
+        metrics = _steps(run_of_number(designer, one), one.band)[one.signal].continuous
         value = None if metrics is None else getattr(metrics, key)
         if value is None:
             raise InputError(f"{one.text}: the signal is {metrics and metrics.settled}; move this number to `missing`")
@@ -152,7 +152,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], float]:
     return found
 
 
-def driven(designer: Designer, one: PrintedNumber) -> Run:
+def run_of_number(designer: Designer, one: PrintedNumber) -> Run:
     """Returns the run that a number is of, the same one for all numbers of the same run."""
     return _run(designer, one.controller, one.road, one.duration, one.timestep)
 
@@ -165,7 +165,7 @@ def _run(designer: Designer, controller: str, road: Road, duration: float, times
 
 def pieces_of(designer: Designer, one: PrintedNumber) -> Pieces:
     """Returns a number's signal over its run, exact between samples."""
-    return _pieces(driven(designer, one))[one.signal]
+    return _pieces(run_of_number(designer, one))[one.signal]
 
 
 @cache
@@ -180,9 +180,9 @@ def _steps(run: Run, band: float) -> dict[str, SignalSteps]:
 
 def _in_mujoco(designer: Designer, one: PrintedNumber) -> float | None:
     """Returns a number in MuJoCo, in SI units; None if no run shows it, or if the run leaves the linear regime."""
-    if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(driven(designer, one).agreement.until):
+    if one.what not in OF_A_RUN or one.what == "recovery" or not math.isinf(run_of_number(designer, one).agreement.until):
         return None
-    run = driven(designer, one)
+    run = run_of_number(designer, one)
     if one.what in OF_A_STEP:
         return getattr(_steps(run, one.band)[one.signal].mujoco, one.what, None)
     return float(run.physics.rms(one.signal) if one.what == "rms" else np.abs(run.physics[one.signal]).max())
@@ -236,7 +236,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], float]] = {
 }
 
 
-def compared(entry: Entry) -> list[ComparedNumber]:
+def compare_numbers(entry: Entry) -> list[ComparedNumber]:
     """Returns the published numbers of an entry next to ours, in the order of the entry.
 
     Raises:
@@ -245,11 +245,11 @@ def compared(entry: Entry) -> list[ComparedNumber]:
     numbers = []
     for one in entry.printed:
         if one.what not in KINDS:
-            raise InputError(f"{entry.name}: what = {quoted(one.what)} is not allowed; one of {listing(KINDS)}")
+            raise InputError(f"{entry.name}: what = {short_repr(one.what)} is not allowed; one of {list_names(KINDS)}")
         designer = designer_of(entry, one)
         outputs = designer.vehicle.linear_model.outputs
         if one.signal and one.signal not in outputs:
-            raise InputError(f"{entry.name}: unknown signal {one.signal!r}; this vehicle has {listing(outputs)}")
+            raise InputError(f"{entry.name}: unknown signal {one.signal!r}; this vehicle has {list_names(outputs)}")
         exact, mujoco = KINDS[one.what](designer, one), _in_mujoco(designer, one)
         grid = one.scale * _on_grid(designer, one) if one.grid else None
         numbers.append(ComparedNumber(one, one.scale * exact, None if mujoco is None else one.scale * mujoco, grid))

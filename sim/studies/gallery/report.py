@@ -6,7 +6,7 @@ from typing import Any
 
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
-from models.document.text import joined
+from models.document.text import join_words
 from sim.studies.gallery.entries import SOURCES, Entry, names
 from sim.studies.gallery.numbers import DIFFERS, ON_ITS_GRID, REPRODUCED, WRONG, ComparedNumber
 
@@ -57,7 +57,7 @@ def summary(results: Sequence[Result]) -> Document:
     with_numbers, without = sources([entry for entry, _ in results])
     if {entry.name for entry, _ in results} == {*names()}:
         more.append(f"The gallery has numbers of {len(with_numbers)} of {len(SOURCES)} published sources.")
-        more.append(f"The entries explain why {joined(without)} have no numbers.")
+        more.append(f"The entries explain why {join_words(without)} have no numbers.")
     table = Table.of("gallery", "The entries, and how many of their numbers are reproduced.", COUNTS, results, 2, detail="brief")
     state = "fails" if wrong else "holds"
     return Document("", (table, Statement(text, state, "brief"), *notes(*more, detail="brief")), "brief")

@@ -231,7 +231,7 @@ def _cut_at(pieces: Pieces, jumps: Sequence[float], behind: bool) -> Pieces:
     return pieces
 
 
-def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
+def interpolated_signals(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
     """Returns signals of a response that is known at its samples: cubics between its jumps, and forces as they are held."""
     time, h, road = response.time, run.prediction.timestep, run.prediction.input
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)

@@ -59,7 +59,7 @@ from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equiv
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import AnyController, is_linear
-from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, named, radius
+from synth.controller.loop_of import HEIGHT, MIDWAY, loop_of, radius, with_ending
 from synth.plant.loop import harmonic_states
 from synth.plant.quadrature import sample_band
 
@@ -67,7 +67,7 @@ STILL = 1e-12  # relative to the largest variance in the same unit: a signal wit
 
 
 @dataclass(frozen=True)
-class Settled:
+class RemainingTransient:
     """The variance of a signal when measuring begins.
 
     Attributes:
@@ -79,7 +79,9 @@ class Settled:
     signal: str
 
 
-def settled(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float) -> Settled | None:
+def remaining_transient(
+    vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
+) -> RemainingTransient | None:
     """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop
     and for a law that is not linear.
 
@@ -94,19 +96,19 @@ def settled(vehicle: Vehicle, controller: AnyController, road: Spectrum, timeste
     if not shares:
         return None
     furthest = max(shares, key=lambda name: abs(shares[name] - 1))
-    return Settled(shares[furthest], furthest)
+    return RemainingTransient(shares[furthest], furthest)
 
 
 def settled_shares(
     vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, start: float
 ) -> dict[str, float]:
-    """Returns the share of its final variance for every measured signal that moves, by name; empty where `settled` is None."""
+    """Returns every measured, moving signal's share of its final variance, by name; empty where `remaining_transient` is None."""
     if not is_linear(controller, vehicle) or radius(whole := loop_of(vehicle, controller, timestep)) >= 1:
         return {}
     model = vehicle.linear_model
     system = whole.closed_loop.part(model.outputs, whole.closed_loop.inputs)
     loop, C, period = system.A, system.C, whole.period
-    now, midway = (system.columns(named(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
+    now, midway = (system.columns(with_ending(model.disturbances, ending)) for ending in (HEIGHT, MIDWAY))
     Cr = system.D[:, now]
     raised = np.linalg.solve(np.eye(len(loop)) - loop, system.B[:, now] + system.B[:, midway])  # by a road one metre higher
     sample = round(start / period)
@@ -159,7 +161,7 @@ EXACT = 1e-4  # relative error of an integral that is not reported
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class ExpectedMetrics:
     """Expected metrics of one run over roads of a kind.
 
     Attributes:
@@ -195,7 +197,7 @@ def passive_settling_time(vehicle: Vehicle) -> float:
 
 
 @one_thread()
-def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> Expected | None:
+def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep: float, window: float) -> ExpectedMetrics | None:
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
@@ -217,7 +219,9 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     loads = {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)}
     ride, weigh = [index[name] for name in accelerations], sampled_wk(timestep)
-    pushing = [(name, vehicle.kind.pushed(name)) for name in vehicle.linear_model.inputs if vehicle.kind.pushed(name)]
+    pushing = [
+        (name, vehicle.kind.deflection_of(name)) for name in vehicle.linear_model.inputs if vehicle.kind.deflection_of(name)
+    ]
     pushed = [[index[signal] for signal in pair] for pair in pushing]
     lags = vehicle.limits.actuator_bandwidth is not None
 
@@ -283,7 +287,7 @@ def expect(vehicle: Vehicle, controller: AnyController, road: Spectrum, timestep
         if (value := metric.expected(random)) is not None:
             mean[metric.name] = value[0]
             spread |= {metric.name: value[1]} if value[1] is not None else {}
-    return Expected(mean, spread, error, line)
+    return ExpectedMetrics(mean, spread, error, line)
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
-from models.document.figure import Curve, Figure, Panel, thinned
+from models.document.figure import Curve, Figure, Panel, drawn_indices
 from models.kinds.links import left_out
 from models.roads.load import Load
 from models.roads.load_choice import choose_load
@@ -19,7 +19,7 @@ from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.observers.recorder import record
-from sim.runs.forces import pushed
+from sim.runs.forces import load_histories
 from sim.runs.report import run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, POINTS
@@ -34,7 +34,7 @@ AFTER = 2.0  # s that are looked at after the last load has come
 LONGEST = 60.0  # s
 SPEED = 20.0  # m/s, which does not matter on a flat road
 BRAKE, BRAKED = "brake:g=0.5", 3.0  # s, in which a car has long begun to rest on its springs
-Leaning = tuple[str, Metric, RunMetrics]
+LeaningRow = tuple[str, Metric, RunMetrics]
 
 
 def loaded_road(loads: Sequence[Load]) -> RoadWithLoads:
@@ -79,7 +79,7 @@ def loads_section(scope: Subject) -> Document:
     shown, at_end = [one for one in metrics_of(vehicle, loaded=True) if one.loaded], metric_classes().get("final_angle", ())
     shown += compared_metrics(vehicle).get("peak_travel", ())
     found = [(run.controller.name, measure_run(run, 0)) for run in runs]
-    columns: tuple[Field[Leaning], ...] = (
+    columns: tuple[Field[LeaningRow], ...] = (
         Field("controller", lambda row: row[0]),
         Field("metric", lambda row: row[1].words),
         *(one.of(lambda row: row[2].metrics[row[1].name]) for one in METRIC[:3]),
@@ -113,7 +113,7 @@ def loads_section(scope: Subject) -> Document:
 def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: Sequence[str]) -> Iterator[Panel]:
     """Yields panels of the loads over time, then of angles, then of suspensions."""
     vehicle = scope.vehicle
-    acting = pushed(vehicle, road, runs[0].physics.time)
+    acting = load_histories(vehicle, road, runs[0].physics.time)
     assert acting is not None, "a road with loads"
     kinds = {load.name for load in vehicle.kind.loads}
     for one in (one for one in acting.signals if one.name in kinds):
@@ -137,7 +137,7 @@ def _panels(scope: Subject, road: RoadWithLoads, runs: Sequence[Run], travels: S
 
 
 def _line(time: Array, values: Array) -> tuple[Array, Array]:
-    some = thinned(values, max(1, len(values) // OF_LINE))
+    some = drawn_indices(values, max(1, len(values) // OF_LINE))
     return time[some], values[some]
 
 

@@ -32,7 +32,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import Jumps
 from sim.drive.response import Response
 from sim.studies.ride.registry import metric_classes
-from sim.studies.ride.weighting import LATE, filtered, sampled_wk
+from sim.studies.ride.weighting import LATE, filter_signals, sampled_wk
 from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of
 
@@ -68,7 +68,7 @@ def static_angles(vehicle: Vehicle, controller: AnyController, road: Road, time:
     return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 
 
-RUNNING = 1.0  # time constant of the running rms [s]
+RUNNING_TIME_CONSTANT = 1.0  # time constant of the running rms [s]
 DEFINITIONS = 7  # version of the metrics and their expectations; one more whenever a number changes
 LATE_WINDOW = 6  # the last version whose weighted metrics had a window that was three samples late
 ONE_SIDED = 5  # the version in which signals that adjustable dampers switch had one value at a jump; else the same numbers
@@ -201,7 +201,7 @@ class Metric:
         """Adds the meter's block."""
 
     def update_weighted(self, weighted: Array, running: Array, totals: Totals) -> None:
-        """Adds a block of the weighted acceleration and of its running mean square over `RUNNING`, shape (N, B) each."""
+        """Adds a block of the weighted acceleration, and its mean square over `RUNNING_TIME_CONSTANT`, shape (N, B) each."""
 
     def result(self, totals: Totals, meter: "Meter") -> Array:
         """Returns the metric after the last block, shape (N,)."""
@@ -373,7 +373,7 @@ class Meter:
     def work(self, force: str) -> Array:
         """Returns the work of an actuator [J] in each step that ends in the block, shape (N, B), or (N, B - 1) at first."""
         if force not in self.works:
-            acting, along = self._joined(force), self._joined(self.vehicle.kind.pushed(force))
+            acting, along = self._joined(force), self._joined(self.vehicle.kind.deflection_of(force))
             work = (acting[:, :-1] + acting[:, 1:]) / 2 if self.lags else acting[:, :-1]
             self.works[force] = work * np.diff(along, axis=1) * self.ratios.of(force, along[:, :-1].T).T
         return self.works[force]
@@ -389,12 +389,12 @@ class Meter:
         """Weighs the next samples of an acceleration, shape (N, B), after so many, and adds those of the window."""
         skip = max(self.first + self.late - seen, 0)
         weighted, wk = np.zeros_like(acceleration), self.filter
-        parts, self.memory[name] = filtered(wk.numerators, wk.denominators, acceleration, self.memory[name])
+        parts, self.memory[name] = filter_signals(wk.numerators, wk.denominators, acceleration, self.memory[name])
         for part in parts:
             weighted += part
-        forget = np.exp(-self.timestep / RUNNING)
+        forget = np.exp(-self.timestep / RUNNING_TIME_CONSTANT)
         mean = np.array([[1 - forget, 0.0]]), np.array([[1.0, -forget]])
-        (running,), self.running[name] = filtered(*mean, weighted * weighted, self.running[name])
+        (running,), self.running[name] = filter_signals(*mean, weighted * weighted, self.running[name])
         if skip < acceleration.shape[1]:
             for metric, totals in self.totals.items():
                 if metric.source == name:

@@ -12,19 +12,19 @@ from models.common.printed import as_name
 from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, Style
-from models.document.text import joined
+from models.document.text import join_words
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import track_width
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
-from sim.drive.regime import FLAT, REGIME_ENDS, reached
+from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, compared_metrics, metrics_of, over_runs
-from sim.studies.ride.standing import Standing, standing, standing_over_runs
+from sim.studies.ride.standing import Score, score_of, standing_over_runs
 from sim.studies.study import Progress, Study
 from sim.studies.subject import AVERAGE, SEEDS, SPEED, Subject
 from synth.controller.controller import AnyController
@@ -64,15 +64,15 @@ class Ride:
         return share if math.isfinite(share) else None
 
 
-MEASURED = Field[Ride]("MuJoCo", lambda one: one.measured, ".4g")
-LIFTED = Field[float]("lift-off", float, ".2f", 100.0, unit="%")
+MEASURED_RIDE = Field[Ride]("MuJoCo", lambda one: one.measured, ".4g")
+LIFT_OFF = Field[float]("lift-off", float, ".2f", 100.0, unit="%")
 IRI, IRI_SPREAD = Field[float]("IRI", float, ".3g"), Field[float]("spread", float, ".2g")
 RIDE: tuple[Field[Ride], ...] = (
     Field("class", lambda one: one.road_class),
     Field("controller", lambda one: one.controller),
     Field("metric", lambda one: one.metric),
     Field("unit", lambda one: one.unit),
-    MEASURED,
+    MEASURED_RIDE,
     Field("predicted", lambda one: one.predicted, ".4g"),
     Field("road to road", lambda one: one.share, "+-{:.0f} %".format, 100.0),
     Field("lift-off", lambda one: one.events),
@@ -109,7 +109,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
         for name in dict.fromkeys(one.controller for one in rides):
             look, some = style[name], [one for one in rides if (one.metric, one.controller) == (metric, name)]
             x = np.array([float(CLASSES.index(one.road_class)) for one in some])
-            predicted, measured = (np.array([get(one) for one in some]) for get in (attrgetter("predicted"), MEASURED.value))
+            predicted, measured = (np.array([get(one) for one in some]) for get in (attrgetter("predicted"), MEASURED_RIDE.value))
             if np.isfinite(predicted).any():  # not of a law in Python
                 curves.append(Curve(x, predicted, name, look.color, look.dash))
             if some:
@@ -129,15 +129,15 @@ def _best_ride(rides: Sequence[Ride]) -> str:
     some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
     if len(some) < 2:
         return ""
-    least = min(some, key=MEASURED.value)
-    size = f"{MEASURED.cell(least)} {least.unit}"
+    least = min(some, key=MEASURED_RIDE.value)
+    size = f"{MEASURED_RIDE.cell(least)} {least.unit}"
     return f"{as_name(least.controller)} rides best over roads of class {AVERAGE}: {least.metric} {size}."
 
 
 def ride_texts(vehicle: Vehicle) -> tuple[str, ...]:
     """Returns sentences on the table of ride, and on the parts that its predictions omit."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
-    without = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
+    without = join_words([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     curved = " Each characteristic is replaced by the line that has the same effect on average." * vehicle.parts.nonlinear
     return (
         f"MuJoCo drives {len(SEEDS)} random roads of each ISO 8608 class at {SPEED:g} m/s, {WINDOW:g} s each. "
@@ -163,18 +163,18 @@ class OverRoads:
         count = len(self.roads)
         runs = record([Case(vehicle, controller, road) for road in self.roads], time)
         values = np.stack([one.response.values[:, : len(vehicle.kind.signals)] for one in runs], axis=2)
-        flat = [reached(vehicle, one.response)[REGIME_ENDS.index(FLAT)] for one in runs]
+        flat = [end_times(vehicle, one.response)[REGIME_ENDS.index(FLAT)] for one in runs]
         self.ended = np.minimum([one.diverged for one in runs], flat)
         self.law_diverged = np.array([one.response.law_diverged for one in runs])
         meter = Meter([vehicle] * count, float(time[1]), round(start / timestep), speeds=[SPEED] * count)
         meter.update(values)
         self.found = meter.result()
 
-    def standing(self) -> Standing:
+    def standing(self) -> Score:
         """Returns the standing of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
-            return standing(self.vehicle, self.controller.name, {})
+            return score_of(self.vehicle, self.controller.name, {})
         return standing_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
 
     def _runs(self, road_class: str) -> slice:
@@ -194,7 +194,7 @@ class OverRoads:
             some = {name: each[runs][through] for name, each in self.found.items()}
             expected = expect(ideal, controller, self.roads[runs.start].spectrum, self.timestep, WINDOW)
             lifted = max((float(some[name].max(initial=0.0)) for name in lifts), default=0.0)
-            events = LIFTED.text(lifted) if lifted else "none"
+            events = LIFT_OFF.text(lifted) if lifted else "none"
             if not through.all():
                 broken = f"flat{', diverged or of an overflowing law' if self.law_diverged[runs].any() else ' or diverged'}"
                 events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
@@ -207,7 +207,7 @@ class OverRoads:
                 yield Ride(road_class, controller.name, metric.words, unit, measured, predicted, spread, events)
 
 
-class RideStudy(Study[tuple[list[Ride], list[Standing]]]):
+class RideStudy(Study[tuple[list[Ride], list[Score]]]):
     """Ride over random roads, and the controllers' standings there, on a page."""
 
     seconds = 7.0
@@ -216,7 +216,7 @@ class RideStudy(Study[tuple[list[Ride], list[Standing]]]):
         """See `Study`."""
         return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
 
-    def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Standing]]:
+    def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Score]]:
         """Returns the ride of stable controllers and of laws, and their standings and that of passive."""
         reported = (*request.stable, *request.laws)
         driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]

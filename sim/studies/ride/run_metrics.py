@@ -13,7 +13,7 @@ from models.common.errors import InputError
 from models.common.printed import as_name, percent, rough
 from models.document.document import Document, Table, notes
 from models.document.field import OMITTED, Detail, Field, Record
-from models.document.text import Shown, facts
+from models.document.text import ShownResult, facts
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
@@ -23,11 +23,11 @@ from sim.runs.report import FEW
 from sim.runs.run import Run
 from sim.studies.ride.expected import (
     EXACT,
-    Expected,
-    Settled,
+    ExpectedMetrics,
+    RemainingTransient,
     expect,
     passive_settling_time,
-    settled,
+    remaining_transient,
     settling_time,
 )
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
@@ -89,7 +89,7 @@ class MetricComparison:
 
 
 MUJOCO = Field[MetricComparison]("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco")
-EXPECTED = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", key="expected")
+EXPECTED_VALUE = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", key="expected")
 ANGLE = Field[float | None]("angle", lambda one: one if one is None or abs(one) > NO_ANGLE else 0.0, ".3g")
 RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, digits, unit="m/s²")
 SPREAD = Field[MetricComparison]("+- by road", lambda one: one.spread, ".4g", key="spread")
@@ -98,13 +98,13 @@ METRIC: tuple[Field[MetricComparison], ...] = (
     Field("unit", lambda one: one.unit, key="unit"),
     MUJOCO,
     Field("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
-    EXPECTED,
+    EXPECTED_VALUE,
     SPREAD,
 )
 
 
 @dataclass(frozen=True, repr=False)
-class RunMetrics(Shown):
+class RunMetrics(ShownResult):
     """All metrics of one run, with the basis of their expectations.
 
     Attributes:
@@ -118,13 +118,13 @@ class RunMetrics(Shown):
     """
 
     metrics: Mapping[str, MetricComparison]
-    settled: Settled | None
+    settled: RemainingTransient | None
     error: float | None
     line: Equivalent | None = None
     static: Mapping[str, float] | None = None
 
     @property
-    def shown(self) -> Document:
+    def summary(self) -> Document:
         """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
         rows = {
             name: ", ".join(f"{of.label} {of.cell(one)} {one.unit}" for of in METRIC[1:4] if of.value(one) is not None)
@@ -224,13 +224,13 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
     if first >= len(time[:end]) - 1:
         raise InputError(f"first = {first} leaves fewer than two of the run's {len(time[:end])} samples; give a smaller number")
-    expected: Expected | None = None
-    transient: Settled | None = None
+    expected: ExpectedMetrics | None = None
+    transient: RemainingTransient | None = None
     controller = run.controller
     if (spectrum := road.spectrum) is not None:
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
         line = expected.line.vehicle if expected else vehicle.linearised
-        transient = settled(line, controller, spectrum, timestep, float(time[first]))
+        transient = remaining_transient(line, controller, spectrum, timestep, float(time[first]))
     mujoco, sampled = dict[str, float](), dict[str, float]()
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
@@ -255,7 +255,7 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         start, end: times between which the metrics are measured [s].
         roughness: every IRI of the road that the run passes.
     """
-    vehicle, about = run.vehicle, [*broken(run), *_basis(run, metrics)]
+    vehicle, about = run.vehicle, [*broken_off_sentence(run), *_basis(run, metrics)]
     title = f"Metrics, measured from {WHEN.digits(start)} to {WHEN.text(end)}{end_words(run.road, end)}"
     random = any(one.expected is not None for one in metrics.metrics.values())
     if run.broke_off is not None and not random:
@@ -267,7 +267,9 @@ def describe(run: Run, metrics: RunMetrics, start: float, end: float, roughness:
         about.append(f"{ABOUT_IRI}.")
     elif without := why_none(run.road):
         about.append(without)
-    marked = replace(EXPECTED, value=lambda one: f"{'~' if one.approximate and one.expected else ''}{EXPECTED.cell(one)}")
+    marked = replace(
+        EXPECTED_VALUE, value=lambda one: f"{'~' if one.approximate and one.expected else ''}{EXPECTED_VALUE.cell(one)}"
+    )
     columns: tuple[Field[tuple[str, str, MetricComparison]], ...] = (
         Field("signal", lambda row: row[0]),
         Field("metric", lambda row: row[1]),
@@ -308,7 +310,7 @@ def _basis(run: Run, metrics: RunMetrics) -> list[str]:
     return said
 
 
-def broken(run: Run) -> list[str]:
+def broken_off_sentence(run: Run) -> list[str]:
     """Returns a sentence on a run that broke off; empty for others."""
     if run.broke_off is None:
         return []
@@ -341,7 +343,7 @@ def summary(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> Document:
         [of_run.metrics[one.name] for one in compared_metrics(run.vehicle).get("ride", ())]
         for run, of_run in zip(runs, measured, strict=True)
     ]
-    known = [max((one for one in some if one.expected is not None), key=EXPECTED.value, default=None) for some in rides]
+    known = [max((one for one in some if one.expected is not None), key=EXPECTED_VALUE.value, default=None) for some in rides]
     each = [
         f"{as_name(run.controller.name)} {RIDE.cell(one)}{f' +- {RIDE.digits(one.spread)}' if one.spread is not None else ''}"
         for run, one in zip(runs, known, strict=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
-from models.common.printed import GAP, wrapped
+from models.common.printed import GAP, wrap_text
 from models.document.document import Table
 from models.document.field import Field, Record, if_any
 from models.document.text import BEST, CHANGE, names_text, table_lines
@@ -22,7 +22,7 @@ from sim.studies.ride.registry import metric_classes
 
 
 @dataclass(frozen=True)
-class Standing:
+class Score:
     """A row of the comparison: a controller's metrics on a road, in MuJoCo.
 
     Attributes:
@@ -58,7 +58,7 @@ def digits(value: float) -> str:
     return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
 
 
-def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Standing]:
+def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
     return Field(label, lambda one: one.values.get(key), digits, scale, key, unit)
 
 
@@ -66,7 +66,7 @@ COLUMNS = {name: one.column for name, one in metric_classes().items() if one.col
 FIELDS = tuple(_of(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
 FORCES = tuple(one for one in FIELDS if metric_classes()[one.key].effort)  # passive has none
 STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
-USED = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
+USED_TRAVEL = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
 SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
 CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # of which the change from passive is shown
 MANY = 4  # names in a sentence
@@ -75,7 +75,7 @@ KEYS = tuple(one.key for one in FIELDS)
 
 
 def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
-    """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
+    """Returns `Score.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
     used: dict[str, tuple[float, float]] = {}
     for name, strokes in vehicle.parts.strokes.items():
         for side, stroke in strokes.items():
@@ -85,7 +85,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
     return used
 
 
-def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> list[Standing]:
+def without_unsound(standings: Iterable[Score], unsound: Collection[str]) -> list[Score]:
     """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
     return [replace(one, sound=False) if one.controller in unsound else one for one in standings]
 
@@ -104,28 +104,26 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     return columns
 
 
-def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Standing:
+def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Score:
     """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
     values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
     largest = {
         key: max((one for one in some if one is not None and math.isfinite(one)), default=None) for key, some in values.items()
     }
-    return Standing(controller, largest)
+    return Score(controller, largest)
 
 
-def standing_over_runs(
-    vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None
-) -> Standing:
+def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
     """Returns a controller's row over several runs; each metric is an array with a number for every run.
 
     Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
     """
     names = {name for some in columns_of(vehicle).values() for name in some}
     over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}
-    return standing(vehicle, controller, over)
+    return score_of(vehicle, controller, over)
 
 
-def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
+def best(standings: Iterable[Score]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
 
     Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
@@ -141,7 +139,7 @@ def best(standings: Iterable[Standing]) -> dict[str, list[str]]:
     return names
 
 
-def headline(standings: Sequence[Standing]) -> str:
+def headline(standings: Sequence[Score]) -> str:
     """Returns in a line who is best at ride and at road holding."""
     marked = best(standings)
     praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
@@ -157,7 +155,7 @@ def some_names(names: Sequence[str]) -> str:
     return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
-ROW = Record[Standing](
+ROW = Record[Score](
     Record(
         controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
     ),
@@ -167,12 +165,12 @@ ROW = Record[Standing](
 )
 
 
-def record_of_standings(standings: Sequence[Standing]) -> dict[str, Any]:
+def record_of_standings(standings: Sequence[Score]) -> dict[str, Any]:
     """Returns the table as a JSON object, in SI units, with the best of each column."""
     return {"controllers": [ROW(one) for one in standings], "best": best(standings)}
 
 
-def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Field[Standing]] = ()) -> Table:
+def compared_table(standings: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
     """Returns the comparison of controllers; changes are from passive of the same vehicle.
 
     Args:
@@ -181,7 +179,7 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     """
     passive = {one.vehicle: one for one in standings if one.controller == PASSIVE and not one.without and len(standings) > 1}
     marked, several = best(standings), any(one.vehicle for one in standings)
-    columns = [Field[Standing]("vehicle", lambda one: one.vehicle)] if several else []
+    columns = [Field[Score]("vehicle", lambda one: one.vehicle)] if several else []
     columns.append(Field("controller", lambda one: one.name))
     there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
     strokes = ""
@@ -190,7 +188,7 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
         shown = [first]
         if COLUMNS[quantity.key].by_side:
             shown, strokes = _travel(quantity, standings)
-        columns += [_marked(one, marked[quantity.key]) for one in shown]
+        columns += [_mark_best(one, marked[quantity.key]) for one in shown]
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
         columns += others
@@ -203,21 +201,21 @@ def compared_table(standings: Sequence[Standing], about: str, more: Sequence[Fie
     return Table.of("compared", caption, (*columns, *more), standings, words=1 + several)
 
 
-def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
+def standing_lines(standings: Sequence[Score], about: str) -> list[str]:
     """Returns the comparison for a terminal, with its caption below."""
     one = compared_table(standings, about)
-    return [*(table_lines(one) if len(one.headings) > one.words else []), *wrapped(one.caption, GAP, len(GAP))]
+    return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
 
 
-def _marked(quantity: Field[Standing], names: Sequence[str]) -> Field[Standing]:
+def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
     """Returns the column of a quantity in which those of these names have a mark."""
     return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
 
 
-def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field[Standing]:
+def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
     """Returns the column of changes from passive of the same vehicle, "-" for a missing, zero or equal number."""
 
-    def change(one: Standing) -> str | None:
+    def change(one: Score) -> str | None:
         value, usual = quantity.value(one), quantity.value(passive[one.vehicle])
         if not usual or value is None or value == usual:
             return None
@@ -227,7 +225,7 @@ def _change(quantity: Field[Standing], passive: Mapping[str, Standing]) -> Field
     return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
 
 
-def _at_points(quantity: Field[Standing], standings: Sequence[Standing]) -> list[Field[Standing]]:
+def _at_points(quantity: Field[Score], standings: Sequence[Score]) -> list[Field[Score]]:
     """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
 
     If there are more than `MOST_POINTS` other points, their column has the largest value.
@@ -245,7 +243,7 @@ def _at_points(quantity: Field[Standing], standings: Sequence[Standing]) -> list
     return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
 
 
-def _travel(quantity: Field[Standing], standings: Sequence[Standing]) -> tuple[list[Field[Standing]], str]:
+def _travel(quantity: Field[Score], standings: Sequence[Score]) -> tuple[list[Field[Score]], str]:
     """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
 
     A side is in mm if all runs have the same strokes, else in per cent of its stroke.
@@ -257,9 +255,9 @@ def _travel(quantity: Field[Standing], standings: Sequence[Standing]) -> tuple[l
     strokes = {side: {one.strokes[side][1] if side in one.strokes else None for one in whole} for side in sides}
     alike = all(len(some) == 1 for some in strokes.values())
     of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())
-    used, label = (USED, "{} travel") if alike else (SHARE_USED, "{} used")
+    used, label = (USED_TRAVEL, "{} travel") if alike else (SHARE_USED, "{} used")
 
-    def of_side(side: str) -> Field[Standing]:
+    def of_side(side: str) -> Field[Score]:
         return used.of(lambda one: one.strokes.get(side), label.format(side))
 
     return [of_side(side) for side in sides], f"; stroke {of}" if alike else "; used: of the stroke"

@@ -109,14 +109,14 @@ class Remainder:
         """
         by_road, steps = sources(vehicle, road, omega), len(at_steps) - 1
         by_road = by_road * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
-        values, vectors = np.linalg.eigh(_interpolated(self.omega, self.noise, omega))
+        values, vectors = np.linalg.eigh(_interpolate_matrices(self.omega, self.noise, omega))
         by_noise = vectors * np.sqrt(np.maximum(values, 0.0) / road.density)[:, None, :]
         wheels = by_road.shape[1]
         excitation = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
         excitation[:, :wheels, :2], excitation[:, wheels:, 2:] = by_road, by_noise
         turn = np.exp(-1j * np.multiply.outer(np.arange(steps) * timestep, omega))[..., None, None]
         response = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component at omega
-        memory = _interpolated(self.omega, self.memory, omega)
+        memory = _interpolate_matrices(self.omega, self.memory, omega)
         closed = np.linalg.solve(np.eye(len(self.index)) - response[..., wheels:] @ memory, response @ excitation)
         excitation[:, wheels:] += memory @ closed
         return excitation
@@ -228,7 +228,7 @@ def _adjoint(matrices: Array) -> Array:
     return np.conj(np.swapaxes(matrices, -1, -2))
 
 
-def _interpolated(omega: Array, matrices: Array, at: Array) -> Array:
+def _interpolate_matrices(omega: Array, matrices: Array, at: Array) -> Array:
     """Returns matrices interpolated linearly between frequencies, shape (F, e, e)."""
     i = np.clip(np.searchsorted(omega, at) - 1, 0, len(omega) - 2)
     share = np.clip((at - omega[i]) / (omega[i + 1] - omega[i]), 0.0, 1.0)[:, None, None]
@@ -316,7 +316,7 @@ def _slope(vehicle: Vehicle, one: "SuspensionPart") -> float:
 
 def record(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
     """Returns the equivalent line as a JSON object, in SI units."""
-    bent = {one.name: one for one in vehicle.parts.with_curve if one.curve.bent}
+    bent = {one.name: one for one in vehicle.parts.with_curve if one.curve.is_nonlinear}
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
         "slopes": {name: _slope(line.vehicle, one) for name, one in bent.items()},

@@ -21,7 +21,7 @@ from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.drive.response import loudest_alike
 from sim.runs.run import Run
-from synth.controller.loop_of import HEIGHT, named
+from synth.controller.loop_of import HEIGHT, with_ending
 
 if TYPE_CHECKING:
     from sim.studies.ride.between_samples import Pieces
@@ -147,16 +147,19 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     check_band(run.road, percent, True)
     assert step is not None, "a band has been checked"
     model = run.vehicle.linear_model
-    finals = dict(zip(model.outputs, (_lasting(run) * step.height).tolist(), strict=True))
+    finals = dict(zip(model.outputs, (_lasting_outputs(run) * step.height).tolist(), strict=True))
     units = {name: run.vehicle.kind.signal(name).unit for name in model.outputs}
     peaks = np.array([run.sampled.peak(name) for name in model.outputs])
     loudest = loudest_alike(peaks, list(units.values()))
     names = tuple(name for name, silent in zip(model.outputs, peaks <= SILENT * loudest, strict=True) if not silent)
-    from sim.studies.ride.between_samples import exact, sampled  # no other road needs it
+    from sim.studies.ride.between_samples import exact, interpolated_signals  # no other road needs it
 
-    routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}
+    routes = {
+        "sampled": interpolated_signals(run, run.sampled, names),
+        "continuous": exact(run, names) if continuous is None else continuous,
+    }
     if run.broke_off is None:
-        routes["mujoco"] = sampled(run, run.physics, names)
+        routes["mujoco"] = interpolated_signals(run, run.physics, names)
     edges = run.prediction.input.vertical_edges()
     metrics, start = {}, float(run.prediction.time[min(edges)]) if edges else step.start  # MuJoCo's road jumps at a sample
     for name in names:
@@ -175,7 +178,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     return metrics
 
 
-def _lasting(run: Run) -> Array:
+def _lasting_outputs(run: Run) -> Array:
     """Returns what a metre of road under all wheels leaves of every output signal for good, shape (p,).
 
     An unstable loop counts as one without a law for study.
@@ -184,7 +187,7 @@ def _lasting(run: Run) -> Array:
     usual = model.Cr.sum(axis=1)
     if loop is None or not model.over_datum(run.controller.measured):
         return usual
-    closed = loop.closed_loop.part(model.outputs, named(model.disturbances, HEIGHT))
+    closed = loop.closed_loop.part(model.outputs, with_ending(model.disturbances, HEIGHT))
     if not np.linalg.eigvals(closed.A).real.max() < 0:
         return usual
     return closed.response(np.zeros(1))[0].sum(axis=1)

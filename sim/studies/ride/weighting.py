@@ -21,7 +21,7 @@ FEW, MANY = 4, 64  # signals, up to which plain numbers are faster than arrays, 
 ORDER = 2
 
 
-def filtered(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
+def filter_signals(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
     """Returns signals through F filters, shape (F, N, T), and their states after them, bit for bit as `scipy.signal.lfilter`.
 
     Args:
@@ -53,7 +53,7 @@ def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callab
     After the first samples, which depend on the states, the taps beyond the order are sums of shifted signals.
     """
     reach = max(len(b) - 1, ORDER)
-    taps, poles, state = (numbers(_padded(*each)) for each in ((b, reach + 1), (a, reach + 1), (memory, reach)))
+    taps, poles, state = (numbers(_pad_values(*each)) for each in ((b, reach + 1), (a, reach + 1), (memory, reach)))
     out = [_step(value, None, state, taps, poles) for value in numbers(signal[:reach])]
     if len(signal) > reach:
         count = len(signal) - reach
@@ -70,7 +70,7 @@ def _recursion(b: Array, a: Array, signal: Array, memory: Array, numbers: Callab
     return np.array(out), np.array(state[: len(memory)])
 
 
-def _padded(values: Array, length: int) -> Array:
+def _pad_values(values: Array, length: int) -> Array:
     return np.concatenate([values, np.zeros((length - len(values), *values.shape[1:]))])
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.studies.subject import Subject
     from synth.controller.controller import Controller
 
-RECORDED = 4.0  # s, of a recorded run
+RECORDED_TIME = 4.0  # s, of a recorded run
 
 
 class MarginsStudy(Study["list[StabilityMargins]"]):
@@ -104,7 +104,7 @@ examples:
 
         vehicle, timestep, delay = _prompt(request.vehicle), request.options.timestep, result[0].loops[""].delay
         delays = [delay.stable, delay.unstable] if math.isfinite(delay.unstable) else [delay.stable]
-        time, runs = sample_times(vehicle, RECORDED, timestep), {}
+        time, runs = sample_times(vehicle, RECORDED_TIME, timestep), {}
         for samples in (round(delay / timestep) for delay in delays):
             delayed = replace(vehicle, implementation=Implementation(delay=samples))
             (runs[f"{request.names[0]}_{samples}_samples_late"],) = run_controllers(delayed, request.controllers, BUMP, time)

@@ -37,7 +37,7 @@ class GainMargin:
 
     Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
     of the timestep, once the step is small enough. If the margin found at one step is not the loop's own, two steps, the second
-    half of the first, allow to extrapolate. `posed` chooses them.
+    half of the first, allow to extrapolate. `at_prediction` chooses them.
 
     Attributes:
         own: margin predicted for the loop itself, without sampling.
@@ -54,7 +54,7 @@ class GainMargin:
     coarser: StabilityEdge | None = None
 
     @classmethod
-    def posed(
+    def at_prediction(
         cls,
         own: float,
         sampled: Callable[[float], float],
@@ -368,4 +368,4 @@ def _gain_margins(
         def trial(amount: float, k: int = power) -> LoopCase:
             return with_gain(amount**k)
 
-        yield GainMargin.posed(own**power if own else math.inf, amount, timestep, derivative, trial, LARGEST_FACTOR)
+        yield GainMargin.at_prediction(own**power if own else math.inf, amount, timestep, derivative, trial, LARGEST_FACTOR)

@@ -20,9 +20,9 @@ from synth.analysis.specification import FREQUENCY
 from synth.controller.law_margins import TURN, decibels
 from synth.controller.stability_margins import LARGEST_FACTOR
 
-IMPLEMENTED = "gain", "phase", "disk"  # margins of the implemented loop
+IMPLEMENTED_MARGINS = "gain", "phase", "disk"  # margins of the implemented loop
 AGREES = {True: "agrees", False: "DOES NOT AGREE"}
-UNDECIDED = "undecided: the slowest mode hardly changes"
+UNDECIDED_NOTE = "undecided: the slowest mode hardly changes"
 
 
 NO_LIMIT = "no limit"
@@ -54,10 +54,16 @@ def _degrees(angle: float) -> str | None:
 
 
 MARGIN = Field[Row]("margin", lambda row: row.margin)
-PREDICTED = Field[Row]("predicted", lambda row: row.predicted, number)
+PREDICTED_MARGIN = Field[Row]("predicted", lambda row: row.predicted, number)
 USUAL = Field[Row]("dB or °", lambda row: row.usual)
-FOUND = Field[Row]("MuJoCo", lambda row: row.found, number)
-MARGINS = (MARGIN, PREDICTED, USUAL, FOUND, Field[Row](NOTE, lambda row: _joined("extrapolated" * row.extrapolated, row.note)))
+MUJOCO_MARGIN = Field[Row]("MuJoCo", lambda row: row.found, number)
+MARGINS = (
+    MARGIN,
+    PREDICTED_MARGIN,
+    USUAL,
+    MUJOCO_MARGIN,
+    Field[Row](NOTE, lambda row: _join_notes("extrapolated" * row.extrapolated, row.note)),
+)
 Value = Callable[[LoopMargins], float]
 
 
@@ -75,17 +81,17 @@ LOOPS: tuple[Field[tuple[str, LoopMargins]], ...] = (
     Field("loop, the others closed", lambda of: of[0]),
     *(one.of(lambda of: of[1]) for one in (*GAIN, *DELAY)),
 )
-COMPARED: tuple[Field[tuple[str, Row]], ...] = (
+COMPARED_MARGINS: tuple[Field[tuple[str, Row]], ...] = (
     Field("controller", lambda of: of[0]),
     MARGIN.of(lambda of: of[1]),
-    PREDICTED.of(lambda of: of[1]),
+    PREDICTED_MARGIN.of(lambda of: of[1]),
     USUAL.of(lambda of: of[1]),
-    Field("MuJoCo", lambda of: FOUND.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
+    Field("MuJoCo", lambda of: MUJOCO_MARGIN.cell(of[1]) + " (extrapolated)" * of[1].extrapolated),
 )
 FACTOR = Field[float]("factor", float, ".3g")
 
 
-SAMPLED = Record[tuple[float, StabilityEdge]](
+SAMPLED_MARGIN = Record[tuple[float, StabilityEdge]](
     timestep=lambda tried: tried[1].timestep, predicted=lambda tried: tried[0], found=lambda tried: tried[1].found
 )  # margin of the sampled loop at a timestep that physics ran with
 LOOP = Record[LoopMargins](
@@ -93,7 +99,7 @@ LOOP = Record[LoopMargins](
         *GAIN,
         lower=Record(**{one.key: lambda of, one=one: finite(one.value(of)) or None for one in LOWER}),
         extrapolated="gain.extrapolated",
-        sampled=SAMPLED.all("gain.tried"),
+        sampled=SAMPLED_MARGIN.all("gain.tried"),
     ),
     phase=Record(
         *PHASE,
@@ -116,7 +122,7 @@ LOOP = Record[LoopMargins](
 def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
     """Returns the record of a loop; gain, phase and disk are those of the implemented loop, if that differs."""
     ideal, *built = (LOOP(of[name]) for of in (found.loops, found.built) if name in of)
-    first = [{key: one[key] for key in IMPLEMENTED} for one in (*built, ideal)]
+    first = [{key: one[key] for key in IMPLEMENTED_MARGINS} for one in (*built, ideal)]
     return {**ideal, **first[0], "ideal": first[1]} if built else ideal
 
 
@@ -138,7 +144,7 @@ def describe(found: StabilityMargins) -> Document:
     loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
     loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
-    if _fixed(found):
+    if _fixed_period(found):
         texts.append("The law is discrete. The margins are those of the continuous law with the same Tustin transform.")
     texts += ["The margins are those of the feedback; preview does not change them."] * (controller.preview is not None)
     blocks: list[Table | Document] = [Table.of("margins", "Margins.", MARGINS, _rows(found))]
@@ -166,7 +172,7 @@ def compare(found: Sequence[StabilityMargins]) -> Document:
     rows = [(one.controller.name, row) for one in found for row in _rows(one) if not row.extra]
     caption = "Largest change of each quantity before the loop is unstable: predicted, and found in MuJoCo."
     pivot = Pivot(("margin",), "controller", ("predicted", "dB or °", "MuJoCo"))
-    table = Table.of("margins", caption, COMPARED, rows, 2, pivot)
+    table = Table.of("margins", caption, COMPARED_MARGINS, rows, 2, pivot)
     figures = (replace(margins_figure(one), name=f"margins-{one.controller.name}") for one in found)
     return Document("Stability margins", (*verdicts(found), *notes(*texts), *figures, table))
 
@@ -206,7 +212,7 @@ def loop_texts(vehicle: Vehicle) -> list[str]:
     return texts
 
 
-def _fixed(found: StabilityMargins) -> float | None:
+def _fixed_period(found: StabilityMargins) -> float | None:
     """Returns the sample period of a discrete law [s]."""
     law = found.controller.law
     return law.sample_period if law.states else None
@@ -223,15 +229,18 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
     predicted, h, gain = one.predicted, one.timestep, one.gain
     lower, high = predicted.gain_lower or one.found_gain_lower, predicted.gain
     below = f"no crossover: {'eigenvalues of L' if len(found.vehicle.linear_model.inputs) > 1 else '|L|'} < 1 at all frequencies"
-    note = _joined(
-        UNDECIDED * math.isnan(gain.found),
+    note = _join_notes(
+        UNDECIDED_NOTE * math.isnan(gain.found),
         f"stable up to factor {LARGEST_FACTOR:g}" * math.isinf(high),
         "" if lower else "stable down to factor 0",
     )
     usual = _decibels(high)
-    rows = [Row(f"gain{of}, factor", *_values(GAIN, one), note=note, extrapolated=gain.extrapolated, usual=usual), *_sampled_rows(gain)]
+    rows = [
+        Row(f"gain{of}, factor", *_values(GAIN, one), note=note, extrapolated=gain.extrapolated, usual=usual),
+        *_sampled_rows(gain),
+    ]
     if lower:
-        seen = UNDECIDED * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
+        seen = UNDECIDED_NOTE * math.isnan(one.gain_lower.found), one.gain_lower.extrapolated
         usual = _decibels(predicted.gain_lower)
         rows.append(Row(f"lower gain{of}, factor", *_values(LOWER, one), *seen, extra=True, usual=usual))
         rows += _sampled_rows(one.gain_lower, -1)
@@ -255,7 +264,7 @@ def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[
         times = 1e3 * one.predicted_delay, _values(DELAY, one)[1]
         rows.append(Row("delay [ms]" if total else "more delay [ms]", *times, note, extra=not total))
     if total:
-        fixed = f"fixed by the law: {1e3 * (_fixed(found) or 0):g} ms" if _fixed(found) else ""
+        fixed = f"fixed by the law: {1e3 * (_fixed_period(found) or 0):g} ms" if _fixed_period(found) else ""
         settles = "stable at every period, as the vehicle settles between two samples" * math.isinf(predicted.sample_period)
         more = fixed, "all forces sampled" * predicted.all_sampled, settles
         note = _noted_time(one.sample_period, one.found_sample_period, *more)
@@ -278,7 +287,7 @@ def _sampled_rows(gain: GainMargin, power: int = 1) -> list[Row]:
     ]
 
 
-def _joined(*texts: str) -> str:
+def _join_notes(*texts: str) -> str:
     return "; ".join(filter(None, texts))
 
 
@@ -286,4 +295,4 @@ def _noted_time(edge: StabilityEdge, found: float, *texts: str) -> str:
     """Returns a note on a time at which a loop is unstable, with the reason if no run decides it."""
     reason = f"stable up to {edge.stable:g} s; above {SLOWEST:g} s only predicted" * math.isnan(found)
     missed = "unstable there for less than a timestep" * (edge.unstable > edge.expected + 2 * edge.multiple)
-    return _joined(*texts, missed, reason if edge.decided else UNDECIDED)
+    return _join_notes(*texts, missed, reason if edge.decided else UNDECIDED_NOTE)

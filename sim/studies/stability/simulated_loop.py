@@ -24,7 +24,7 @@ from synth.plant.state_space import StateSpace
 STANDS = 1e-6  # 1/s; a mode that moves less stands still: the differences are exact to a tenth of it
 SMALL = 1e-6  # m or rad, of the largest coordinate of a mode from which a run starts
 FREE = 1e-2  # of the force limit, which such a run does not reach
-ACTING = "acting_{}"  # names of the states that are acting forces
+ACTING_STATE = "acting_{}"  # names of the states that are acting forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class SimulatedLoop:
     def start(self, limit: float | None) -> State:
         """Returns the start of a run in the slowest mode alone, which stays below a force limit [N]."""
         (z, vector), states = self.slowest, self.loop.plant.states
-        moving = states.index(ACTING.format(0)) - self.lagging
+        moving = states.index(ACTING_STATE.format(0)) - self.lagging
         ends = np.cumsum([moving, self.lagging, len(self.loop.forces)])
         vector = vector * SMALL / np.abs(vector[:moving]).max()
         pending = [self.cut.C @ vector * z**-j for j in range(self.delay, 0, -1)]
@@ -127,6 +127,6 @@ def _held_forces(step: StateSpace, undelayed: Controller | None) -> StateSpace:
     acting = np.hstack([law.D @ y, law.C, np.eye(m)])
     moved = np.vstack([step.B @ acting, acting, np.hstack([law.B @ y, law.A, np.zeros((law.states, m))])])
     moved[:n, :n] += step.A
-    names = (*step.states, *(ACTING.format(i) for i in range(m)), *(f"undelayed_{i}" for i in range(law.states)))
+    names = (*step.states, *(ACTING_STATE.format(i) for i in range(m)), *(f"undelayed_{i}" for i in range(law.states)))
     C = np.hstack([seen, np.zeros((len(seen), law.states))])
     return StateSpace(moved[:, :-m], moved[:, -m:], C, np.zeros((len(C), m)), step.inputs, step.outputs, step.dt, names)

@@ -11,7 +11,7 @@ import numpy as np
 from models.common.errors import InputError
 from models.vehicle.mjcf import quiet
 from models.vehicle.vehicle import Vehicle
-from sim.drive.sensor_readout import batch_of, prepared, states_of_parts
+from sim.drive.sensor_readout import batch_of, prepared_readout, states_of_parts
 from synth.plant.state_space import StateSpace
 
 MOTION, FORCE = 1e-5, 1e-2  # m or rad, and N, of the differences: exact to 1e-9 where the geometry bends
@@ -28,7 +28,7 @@ def step_derivative(vehicle: Vehicle, timestep: float) -> StateSpace:
     Raises:
         InputError: MuJoCo has no derivative at equilibrium, because a curve bends there.
     """
-    model, readout = prepared(vehicle, timestep)
+    model, readout = prepared_readout(vehicle, timestep)
     own, m = readout.of_parts.shape[1], len(vehicle.linear_model.inputs)
     n = model.nq + model.nv + own + model.na
     sizes = np.concatenate([np.full(n - model.na, MOTION), np.full(model.na + m, FORCE)])

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
-from models.common.command import Parser, remarked
+from models.common.command import Parser, print_remarks
 from models.common.errors import InputError
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED, LOAD_SYNTAX, PLUS
 from sim.studies.study import Progress, Study, StudyRequest
@@ -70,10 +70,10 @@ examples:
 
     def check(self, request: StudyRequest) -> None:
         from models.roads.road import LOWEST
-        from sim.studies.validity.map_runs import loaded
+        from sim.studies.validity.map_runs import with_loads
 
         options, (bumps, time, loads) = request.options, _map_of(request)
-        remarked(bumps[-1])  # the largest of all
+        print_remarks(bumps[-1])  # the largest of all
         if not 0 < options.threshold < 1:
             raise InputError(f"threshold = {options.threshold:g} is not allowed; give a number above 0 and below 1, such as 0.05")
         if abs(bumps[0].height) < LOWEST:
@@ -84,7 +84,7 @@ examples:
             raise InputError(
                 f"the longest bump takes {longest.duration:.3g} s, but a run lasts only {time[-1]:g} s; give a longer --duration"
             )
-        loaded(bumps[0], loads).check(request.vehicle, time)
+        with_loads(bumps[0], loads).check(request.vehicle, time)
 
     def run(self, request: StudyRequest, progress: Progress) -> "Cells":
         from sim.studies.validity.regime_map import validity
@@ -131,7 +131,7 @@ examples:
 
         from sim.drive.regime import END_NAMES
         from sim.runs.run import run_controllers
-        from sim.studies.validity.map_runs import loaded
+        from sim.studies.validity.map_runs import with_loads
 
         nearest, used, (_, time, loads) = {}, result.used.max(axis=-1), _map_of(request)
         for end in (-1, *range(len(END_NAMES))):
@@ -139,7 +139,7 @@ examples:
             if len(mine):
                 i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
                 what = "nothing breaks" if end < 0 else END_NAMES[end]
-                (run,) = run_controllers(request.vehicle, request.controllers, loaded(result.bumps[i], loads), time)
+                (run,) = run_controllers(request.vehicle, request.controllers, with_loads(result.bumps[i], loads), time)
                 nearest[f"{result.controller.name}_{what}".replace(" ", "_").replace("-", "_")] = run
         return nearest
 

@@ -73,7 +73,7 @@ def edge_document(cells: Cells) -> Document:
         Field("first limit", limits),
         Field("first cell", lambda edge: next((part["from"] for part in ended(edge)), None), ".4g", unit=UNITS[along]),
         Field("predicted", lambda edge: edge["predicted_from"], HEIGHT.form, unit="m"),
-        Field("MuJoCo", lambda edge: _enclosed(found.get(edge.get(other))), unit="m"),
+        Field("MuJoCo", lambda edge: _enclosing_heights(found.get(edge.get(other))), unit="m"),
     ]
     fields = [field for field in fields if any(field.cell(edge) != "-" for edge in shown)]
     left = len(every) - len(shown)
@@ -82,7 +82,7 @@ def edge_document(cells: Cells) -> Document:
     return Document(f"First limit along the {along}, with {cells.fixed_text}", (table, *notes(*texts, *travel_texts(cells))))
 
 
-def _enclosed(one: Mapping[str, Any] | None) -> str:
+def _enclosing_heights(one: Mapping[str, Any] | None) -> str:
     """Returns the two heights that enclose an end in MuJoCo, and its name if it is not the predicted one."""
     if one is None:
         return "-"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.schema import SI, keys
 from models.common.units import setting
 from models.roads.road import LOWEST, Bump
@@ -38,12 +38,12 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
     """
     example = "as in --vary height:0.02:0.3:20 --vary speed:3:30:20"
     if len(texts) not in (1, 2):
-        raise InputError(f"--vary is given {len(texts)} times; give it once or twice, for {listing(UNITS)}, {example}")
+        raise InputError(f"--vary is given {len(texts)} times; give it once or twice, for {list_names(UNITS)}, {example}")
     axes = []
     for text in texts:
         name, *parts = text.split(":")
         if name not in UNITS:
-            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary one or two of {listing(UNITS)}, {example}")
+            raise InputError(f"--vary {text}: unknown quantity {name!r}; vary one or two of {list_names(UNITS)}, {example}")
         limits = [setting(f"--vary {name}", part, UNITS[name]) for part in parts[:2]]
         try:
             (low, high), count = limits, int(parts[2])
@@ -61,7 +61,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
             raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[-1].name and len(axes) > 1:
-        raise InputError(f"--vary {axes[0].name} is given twice; vary two different quantities of {listing(UNITS)}")
+        raise InputError(f"--vary {axes[0].name} is given twice; vary two different quantities of {list_names(UNITS)}")
     count = math.prod(len(axis.values) for axis in axes)
     if count > MOST_CELLS:
         raise InputError(f"the map has {count} cells, but at most {MOST_CELLS} are allowed; give fewer points")

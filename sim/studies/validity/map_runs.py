@@ -13,11 +13,11 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.loop import runs_at_once
-from sim.drive.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, first_end, reached, utilisation
+from sim.drive.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, end_times, first_end, utilisation
 from sim.drive.response import Response, difference
 from sim.linear.dampers import squarable
 from sim.linear.sampled_response import sampled_responses
-from sim.linear.stepped import stepped
+from sim.linear.stepped import stepped_runs
 from sim.observers.recorder import Recording, record
 from synth.controller.controller import Controller, is_linear
 
@@ -51,17 +51,17 @@ class MapRun:
         return END_NAMES[self.first] if self.first >= 0 else self.broke_off
 
 
-def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
+def with_loads(bump: Road, loads: tuple[Load, ...]) -> Road:
     """Returns a bump with the loads on the body, if any."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 
-def analysed(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
+def analyse_bumps(vehicle: Vehicle, controller: Controller, roads: Sequence[Road], time: Array) -> Response:
     """Returns the responses of the analysis with its curves and adjustable dampers, values of shape (N, T, S)."""
     inputs = [RoadInput(vehicle, road, time) for road in roads]
     if is_linear(controller, vehicle):
         return sampled_responses(controller, inputs)
-    return stepped([controller] * len(inputs), inputs).response
+    return stepped_runs([controller] * len(inputs), inputs).response
 
 
 def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Sequence[Road], time: Array) -> list[Response]:
@@ -69,10 +69,10 @@ def analysed_each(vehicle: Vehicle, controllers: Sequence[Controller], roads: Se
     bent = [i for i, one in enumerate(controllers) if vehicle.parts.nonlinear or not is_linear(one, vehicle)]
     responses = dict[int, Response]()
     for some in (bent[k : k + AT_ONCE] for k in range(0, len(bent), AT_ONCE)):
-        runs = stepped([controllers[i] for i in some], [RoadInput(vehicle, roads[i], time) for i in some]).response
+        runs = stepped_runs([controllers[i] for i in some], [RoadInput(vehicle, roads[i], time) for i in some]).response
         responses |= {i: runs.run(k) for k, i in enumerate(some)}
     linear = [i for i in range(len(roads)) if i not in responses]
-    responses |= {i: analysed(vehicle, controllers[i], [roads[i]], time).run(0) for i in linear}
+    responses |= {i: analyse_bumps(vehicle, controllers[i], [roads[i]], time).run(0) for i in linear}
     return [responses[i] for i in range(len(roads))]
 
 
@@ -90,7 +90,7 @@ def largest_difference(vehicle: Vehicle, physics: Response, analysis: Response) 
     return math.inf if math.isnan(apart) else apart
 
 
-def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[MapRun]:
+def drive_bumps(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time: Array) -> list[MapRun]:
     """Runs controllers over roads in MuJoCo, each over so many samples or more."""
     order = sorted(range(len(runs)), key=lambda i: runs[i][2])
     at_once = min(AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
@@ -106,7 +106,7 @@ def driven(vehicle: Vehicle, runs: Sequence[tuple[Controller, Road, int]], time:
 def _result(controller: Controller, run: Recording) -> MapRun:
     """Returns the result of a run."""
     vehicle, response, diverged = run.vehicle, run.response, run.diverged
-    times, missing = reached(vehicle, response, controller.has_anti_windup), math.nan
+    times, missing = end_times(vehicle, response, controller.has_anti_windup), math.nan
     if not is_linear(controller, vehicle):
         times[REGIME_ENDS.index(DAMPER)] = np.inf
     if vehicle.parts.adjustable:

@@ -106,7 +106,7 @@ class MeasuredComparison:
         }
 
     @property
-    def doubts(self) -> Iterator[str]:
+    def warnings(self) -> Iterator[str]:
         """Remarks on the log and on its columns: a weak correlation, an opposite sign, an offset."""
         about = f"measured log {self.log.source}: "
         yield from (f"{about}{remark}" for remark in self.log.remarks)
@@ -171,7 +171,7 @@ def compare_log(
     best = int(np.argmax(scores))
     (at, opposite), run = starts[best], several[best]
     signals = {signal.name: signal for one in several for signal in one.signals}
-    response = _aligned(log, run, at, [signals[name] for name in log.signals])
+    response = _align_signals(log, run, at, [signals[name] for name in log.signals])
     finite = np.isfinite(response.values)
     if not finite.any(axis=0).all():
         first, last = (float(log.time[i] - at) for i in (0, -1))
@@ -189,7 +189,7 @@ def until_end(run: RunResult) -> Response:
     return run.physics if run.broke_off is None else run.physics.until(run.broke_off[1])
 
 
-def _aligned(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
+def _align_signals(log: MeasuredLog, run: Response, start: float, signals: Sequence[Signal]) -> Response:
     """Returns measured signals over a run's time, at the instants of the coarser of the two."""
     relative = log.time - start
     if log.step > run.time[1] - run.time[0]:
@@ -229,7 +229,7 @@ def _rms(values: Array) -> float:
 def _score(log: MeasuredLog, run: Response, start: float) -> float:
     """Returns the mean correlation of the signals that log and run have, at a start of the log [s]."""
     signals = [one for one in run.signals if one.name in log.signals]
-    ones = fits(_aligned(log, run, start, signals), run).values() if signals else ()
+    ones = fits(_align_signals(log, run, start, signals), run).values() if signals else ()
     known = [one.correlation for one in ones if one.correlation is not None]
     return sum(known) / max(len(known), 1)
 

@@ -22,7 +22,7 @@ from sim.drive.regime import END_NAMES
 from sim.drive.response import Response
 from sim.observers.recorder import record
 from sim.runs.agreement import first_loose
-from sim.studies.validity.map_runs import MapRun, analysed_each, driven, largest_difference, loaded, shares
+from sim.studies.validity.map_runs import MapRun, analysed_each, drive_bumps, largest_difference, shares, with_loads
 from synth.controller.controller import Controller
 
 WITHIN = 1.001  # factor on the height, either way, within which MuJoCo runs enclose an end
@@ -75,7 +75,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
         bump: bump from whose response all others are predicted.
         time: equidistant sample times from 0 [s].
     """
-    ends = enclosed(vehicle, controllers, [bump] * len(controllers), time)
+    ends = enclose_ends(vehicle, controllers, [bump] * len(controllers), time)
     below = [(i, end) for i, end in enumerate(ends) if end is not None and end.stays > 0]
     if not below:
         return ends
@@ -88,7 +88,7 @@ def regime_ends(vehicle: Vehicle, controllers: Sequence[Controller], bump: Bump,
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
-def enclosed(
+def enclose_ends(
     vehicle: Vehicle,
     controllers: Sequence[Controller],
     bumps: Sequence[Bump],
@@ -109,18 +109,18 @@ def enclosed(
         An end for each bump, or None if no allowed height has one.
     """
     ends, samples, tried = dict[int, RegimeEnd](), dict[int, int](), dict[int, list[tuple[float, MapRun]]]()
-    for i, (response, used) in enumerate(_predicted(vehicle, controllers, bumps, loads, time)):
+    for i, (response, used) in enumerate(_predict_ends(vehicle, controllers, bumps, loads, time)):
         if used.max() * HIGHEST >= FURTHEST:
             near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * NEAR >= used.max())
             ends[i] = RegimeEnd(float(1 / used.max()), END_NAMES[int(used.argmax())], near, 0.0, math.inf, "")
-            samples[i], tried[i] = _needed(vehicle, controllers[i], response), []
+            samples[i], tried[i] = _needed_samples(vehicle, controllers[i], response), []
     guess = {i: end.predicted for i, end in ends.items()}
     for _ in range(ROUNDS):
         todo = [i for i, end in ends.items() if _is_open(end, within)]
         heights = [(i, guess[i] * factor) for i in todo for factor in (1 / within, within)]
-        roads = [loaded(replace(bumps[i], height=math.copysign(height, bumps[i].height)), loads) for i, height in heights]
+        roads = [with_loads(replace(bumps[i], height=math.copysign(height, bumps[i].height)), loads) for i, height in heights]
         runs = [(controllers[i], road, samples[i]) for (i, _), road in zip(heights, roads, strict=True)]
-        for (i, height), result in zip(heights, driven(vehicle, runs, time), strict=True):
+        for (i, height), result in zip(heights, drive_bumps(vehicle, runs, time), strict=True):
             tried[i].append((height, result))
         for i in todo:
             high, end = min(((height, result.end) for height, result in tried[i] if result.end), default=(math.inf, ""))
@@ -130,12 +130,12 @@ def enclosed(
     return [ends.get(i) for i in range(len(bumps))]
 
 
-def _predicted(
+def _predict_ends(
     vehicle: Vehicle, controllers: Sequence[Controller], bumps: Sequence[Bump], loads: tuple[Load, ...], time: Array
-) -> "list[Predicted]":
+) -> "list[PredictedResponse]":
     """Returns the prediction of each controller over its bump. All searches take their next heights side by side."""
     searches = [_search(vehicle, *both, loads) for both in zip(controllers, bumps, strict=True)]
-    results, roads = dict[int, Predicted](), {i: next(search) for i, search in enumerate(searches)}
+    results, roads = dict[int, PredictedResponse](), {i: next(search) for i, search in enumerate(searches)}
     while roads:
         responses = analysed_each(vehicle, [controllers[i] for i in roads], [*roads.values()], time)
         for i, response in zip([*roads], responses, strict=True):
@@ -147,12 +147,12 @@ def _predicted(
     return [results[i] for i in range(len(searches))]
 
 
-Predicted = tuple[Response, Array]  # a response, and the share of the way to each end per metre of height, shape (E,)
+PredictedResponse = tuple[Response, Array]  # a response, and the share of the way to each end per metre of height, shape (E,)
 
 
 def _search(
     vehicle: Vehicle, controller: Controller, bump: Bump, loads: tuple[Load, ...]
-) -> Generator[Road, Response, Predicted]:
+) -> Generator[Road, Response, PredictedResponse]:
     """Yields the roads of which it needs the response of the analysis, and returns the prediction.
 
     Curves make the analysis nonlinear, and a loop may lose its stability beyond some height. So with curves the lowest height is
@@ -160,7 +160,7 @@ def _search(
     """
     height, low, high, at_end, tried = abs(bump.height), 0.0, math.inf, None, 0
     while True:
-        response = yield loaded(replace(bump, height=math.copysign(height, bump.height)), loads)
+        response = yield with_loads(replace(bump, height=math.copysign(height, bump.height)), loads)
         used = shares(vehicle, controller, response)
         share = float(used.max())
         if not (vehicle.parts.nonlinear and 0 < share < math.inf) or 1 / WITHIN < share < WITHIN:
@@ -197,7 +197,7 @@ def _next(whole: Sequence[tuple[float, float]], high: float, within: float) -> f
     return math.sqrt(low * high) if math.isfinite(high) else low * within**2
 
 
-def _needed(vehicle: Vehicle, controller: Controller, response: Response) -> int:
+def _needed_samples(vehicle: Vehicle, controller: Controller, response: Response) -> int:
     """Returns the number of samples after which a response is so much smaller than before that no end comes any more."""
     count, most = len(response.time), shares(vehicle, controller, response).max()
     if vehicle.implementation.has_measurement_noise:  # which is as large later

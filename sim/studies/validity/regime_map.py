@@ -25,8 +25,8 @@ from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached
 from sim.studies.validity.grid import UNITS, GridAxis
-from sim.studies.validity.map_runs import MapRun, analysed, driven, loaded, shares
-from sim.studies.validity.regime_end import RegimeEnd, enclosed
+from sim.studies.validity.map_runs import MapRun, analyse_bumps, drive_bumps, shares, with_loads
+from sim.studies.validity.regime_end import RegimeEnd, enclose_ends
 from synth.controller.controller import Controller, is_linear
 
 BOUNDARY = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
@@ -149,17 +149,17 @@ def validity(
         every: True to run every cell in MuJoCo.
         threshold: error with which linear analysis counts as valid, relative to the peak.
     """
-    used, predicted, when, travel = _predicted(vehicle, controller, bumps, time, loads, progress)
+    used, predicted, when, travel = _predict_cells(vehicle, controller, bumps, time, loads, progress)
     wanted = len(bumps) if every else min(len(bumps), max(FEWEST, round(len(bumps) * IN_CELLS)))
     borders = np.linspace(0, len(bumps), wanted + 1).astype(int)  # one at random out of so many parts of the grid
     chosen = np.random.default_rng(0).integers(borders[:-1], borders[1:])
-    runs = driven(vehicle, [(controller, loaded(bumps[i], loads), len(time)) for i in chosen], time)
+    runs = drive_bumps(vehicle, [(controller, with_loads(bumps[i], loads), len(time)) for i in chosen], time)
     boundary = set[int]()
     for factor in (1 - BOUNDARY, 1 + BOUNDARY):
         moved = [replace(bumps[i], height=factor * bumps[i].height) for i in chosen]
-        boundary |= {*chosen[_predicted(vehicle, controller, moved, time, loads)[1] != predicted[chosen]].tolist()}
+        boundary |= {*chosen[_predict_cells(vehicle, controller, moved, time, loads)[1] != predicted[chosen]].tolist()}
     edges = _at_edges(bumps, used.max(axis=1))
-    found = enclosed(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
+    found = enclose_ends(vehicle, [controller] * len(edges), [bumps[i] for i in edges], time, loads, WITHIN)
     ends = {i: end for i, end in zip(edges, found, strict=True) if end is not None}
     results = dict(zip(chosen.tolist(), runs, strict=True))
     return Cells(
@@ -183,7 +183,7 @@ def _at_edges(bumps: Sequence[Bump], used: Array) -> list[int]:
     return [edges[k] for k in np.linspace(0, len(edges) - 1, most).round().astype(int)]
 
 
-def _predicted(
+def _predict_cells(
     vehicle: Vehicle,
     controller: Controller,
     bumps: Sequence[Bump],
@@ -197,13 +197,13 @@ def _predicted(
     heights, members = np.array([bump.height for bump in bumps]), dict[Road, list[int]]()
     proportional = not (vehicle.parts.nonlinear or loads)
     for i, bump in enumerate(bumps):
-        members.setdefault(replace(bump, height=1.0) if proportional else loaded(bump, loads), []).append(i)
+        members.setdefault(replace(bump, height=1.0) if proportional else with_loads(bump, loads), []).append(i)
     used, times = np.empty((2, len(bumps), len(REGIME_ENDS)))
     travel, moves = np.empty(len(bumps)), [suspension.deflection for suspension in vehicle.kind.suspensions]
     roads, done = list(members), 0
     for start in range(0, len(roads), AT_ONCE):
         some = roads[start : start + AT_ONCE]
-        responses = analysed(vehicle, controller, some, time)
+        responses = analyse_bumps(vehicle, controller, some, time)
         for k, road in enumerate(some):
             mine, run = members[road], responses.run(k)
             factors = heights[mine] if proportional else np.ones(1)

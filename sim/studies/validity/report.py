@@ -245,12 +245,12 @@ def envelope_figure(cells: Cells) -> Figure:
     places = np.array([[getattr(bump, axis.name) for axis in (horizontal, vertical)] for bump in cells.bumps])
     ends = {i: end for i, end in cells.ends.items() if end.end}
     at = [(places[i, 0], end.found if vertical.name == "height" else places[i, 1]) for i, end in ends.items()]
-    curves += [_marks(np.array(at), ENCLOSED, "D")] if at else []
+    curves += [_marks(np.array(at), ENCLOSED_HEIGHT, "D")] if at else []
     curves += _markers(cells, places)
     return _figure(cells, LABELS[horizontal.name], LABELS[vertical.name], curves, ground)
 
 
-ENCLOSED = "MuJoCo: height enclosed by two runs"
+ENCLOSED_HEIGHT = "MuJoCo: height enclosed by two runs"
 
 
 def _markers(cells: Cells, places: Array) -> list[Curve]:
@@ -293,7 +293,7 @@ def _line_figure(cells: Cells, axis: GridAxis) -> Figure:
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "limit", "#000000", "dash", width=1.0))
     if axis.name == "height" and (at := [(end.found, 1.0) for end in cells.ends.values() if end.end]):
-        curves.append(_marks(np.array(at), ENCLOSED, "D"))
+        curves.append(_marks(np.array(at), ENCLOSED_HEIGHT, "D"))
     curves += _markers(cells, np.stack([x, used.max(axis=-1, initial=0.0)], axis=-1))
     return _figure(cells, LABELS[axis.name], "largest response as a fraction of each limit", curves)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.laws.anti_windup import anti_windup_gain
 from models.laws.linear import LinearLaw, static_law
 from models.laws.semi_active import LAWS, LawCoefficients
@@ -29,7 +29,7 @@ NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16"
 STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
 LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}  # from here on a number is no value
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
-GIVEN = "given"  # where a range is from, if no peak proves it
+GIVEN_RANGE = "given"  # where a range is from, if no peak proves it
 SPARE = 1.1  # times a proved peak, for what sampling and rounding add to it
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
@@ -236,8 +236,8 @@ def _ranges(
         raise InputError("integer code needs force actuators, but this vehicle has semi-active dampers; give double or float")
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
-        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures only {listing(driver.measured)}; omit it")
-    known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures only {list_names(driver.measured)}; omit it")
+    known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN_RANGE)) for name, most in given.items()}
     lacking = [name for name in driver.measured if name not in known]
     if lacking:
         name = lacking[0]

@@ -46,7 +46,7 @@ static int PREFIX_fault(NUMBER value, NUMBER *copy)
     return fault;
 }
 """
-CLIPPED = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER high)
+CLIP_FUNCTION = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER high)
 {
     NUMBER result = value;
 
@@ -65,7 +65,7 @@ CLIPPED = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER high)
     return result;
 }
 """
-QUANTISED = """/* The nearest step, of two the even one; what is too large for a fraction is a step already. */
+QUANTISE_FUNCTION = """/* The nearest step, of two the even one; what is too large for a fraction is a step already. */
 static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
 {
     NUMBER count = value / step;
@@ -100,7 +100,7 @@ static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, in
     return total;
 }
 """
-ROUNDED = """/* A sum over 2^shift, to the nearest, of two the one away from 0; clipped to +-most. */
+ROUND_FUNCTION = """/* A sum over 2^shift, to the nearest, of two the one away from 0; clipped to +-most. */
 static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
 {
     const int64_t half = (shift > 0) ? ((int64_t)1 << (shift - 1)) : 0;
@@ -223,10 +223,10 @@ class CSource:
         law, floating = self.law, self.fixed is None
         parts = {
             VALID: floating,
-            CLIPPED: floating and (law.limit is not None or law.change is not None or bool(law.dampers)),
-            QUANTISED: floating and bool(np.any(law.resolution)),
+            CLIP_FUNCTION: floating and (law.limit is not None or law.change is not None or bool(law.dampers)),
+            QUANTISE_FUNCTION: floating and bool(np.any(law.resolution)),
             SUM: not law.semi_active,
-            ROUNDED: not floating,
+            ROUND_FUNCTION: not floating,
         }
         words = {
             "PREFIX": self.p,

@@ -131,7 +131,7 @@ class CompiledStep:
     @property
     def states(self) -> Array:
         """States after the last step, in the law's own units, shape (k,)."""
-        return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
+        return self.x.astype(float) if self.fixed is None else self.x * self.fixed.state_units
 
 
 def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any]) -> ExportedCode:

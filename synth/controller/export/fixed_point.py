@@ -32,7 +32,7 @@ class FixedPoint:
         largest: integer at which everything is clipped.
         seen: units of the readings, shape (q,).
         given: units of the forces [N], shape (m,).
-        kept: units of the states, shape (k,).
+        state_units: units of the states, shape (k,).
         rows: coefficients of forces, then next states, on readings, states, then forces that a limit takes, shape
             (m + k, q + k + m).
         shifts: shift of each row, shape (m + k,).
@@ -43,7 +43,7 @@ class FixedPoint:
     largest: int
     seen: Array
     given: Array
-    kept: Array
+    state_units: Array
     rows: Array
     shifts: Array
     limit: Array | None

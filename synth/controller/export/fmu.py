@@ -96,7 +96,7 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
     for folder, content in binaries.items():
         suffix = ".dylib" if "darwin" in folder else ".dll" if "win" in folder else ".so"
         files[f"binaries/{folder}/{model.identifier}{suffix}"] = content
-    return Fmu(zipped(files), token, tuple(binaries), missing)
+    return Fmu(zip_files(files), token, tuple(binaries), missing)
 
 
 def functions_of(version: int) -> str:
@@ -112,7 +112,7 @@ def functions_of(version: int) -> str:
     return re.sub(r"\bN\b", str(version), re.sub(r"fmiN(\w+)", named, (HERE / "fmi.c").read_text(encoding="utf-8")))
 
 
-def zipped(files: Mapping[str, bytes]) -> bytes:
+def zip_files(files: Mapping[str, bytes]) -> bytes:
     """Returns a zip of files, whose bytes depend on nothing but their names and contents."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
@@ -132,14 +132,14 @@ def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int)
         if importlib.util.find_spec(ZIG) is not None:
             zig = [sys.executable, "-m", ZIG, "cc"]
             built = {
-                folder: [_built([*zig, "-target", target, "-s"], place, compiled, target) for target in targets]
+                folder: [_build_library([*zig, "-target", target, "-s"], place, compiled, target) for target in targets]
                 for folder, targets in TARGETS[version].items()
             }
             return {folder: _universal(TARGETS[version][folder], parts) for folder, parts in built.items()}, ""
         compiler, host = own_compiler(), _host(version)
         if compiler is None or host is None:
             return {}, "no binaries, as there is no C compiler; install the extra [export] to build for Linux, Windows and macOS"
-        only = {host: _built([compiler, "-s"], place, compiled, host)}
+        only = {host: _build_library([compiler, "-s"], place, compiled, host)}
         return only, f"a binary for {host} only; install the extra [export] to build for Linux, Windows and macOS"
 
 
@@ -154,7 +154,7 @@ def _host(version: int) -> str | None:
     return {"linux": "linux64", "darwin": "darwin64"}.get(system) if processor == "x86_64" or system == "darwin" else None
 
 
-def _built(compiler: Sequence[str], place: Path, compiled: Sequence[str], name: str) -> bytes:
+def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str], name: str) -> bytes:
     """Returns a shared library of the sources in a folder."""
     library = place / f"{name}.library"
     command = [*compiler, *FLAGS.split(), *LIBRARY.split(), *compiled, "-o", library.name]

@@ -47,13 +47,17 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
     }
     head |= {"numberOfEventIndicators": 0} if version == 2 else {}
     step = STEP if model.period is None else model.period
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', f"<fmiModelDescription{_written(head)}>"]
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', f"<fmiModelDescription{_xml_attributes(head)}>"]
     for kind in ["ModelExchange"] * bool(model.states) + ["CoSimulation"]:
         lines += _interface(model, kind, version, files)
     lines += _units(model)
-    lines += ["  <LogCategories>", *(f"    <Category{_written({'name': one})}/>" for one in CATEGORIES), "  </LogCategories>"]
-    lines.append(f"  <DefaultExperiment{_written({'startTime': 0, 'stopTime': SAMPLES * step, 'stepSize': step})}/>")
-    computer = f"<Implementation{_written({'delay': model.delay})}/>"
+    lines += [
+        "  <LogCategories>",
+        *(f"    <Category{_xml_attributes({'name': one})}/>" for one in CATEGORIES),
+        "  </LogCategories>",
+    ]
+    lines.append(f"  <DefaultExperiment{_xml_attributes({'startTime': 0, 'stopTime': SAMPLES * step, 'stepSize': step})}/>")
+    computer = f"<Implementation{_xml_attributes({'delay': model.delay})}/>"
     if version == 2 and model.delay:
         lines.append(f'  <VendorAnnotations><Tool name="{TOOL}">{computer}</Tool></VendorAnnotations>')
     lines += ["  <ModelVariables>", *_variables(model, version), "  </ModelVariables>"]
@@ -65,10 +69,10 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
 
 def build_description(model: FmuModel, files: Sequence[str]) -> str:
     """Returns buildDescription.xml of FMI 3, in which the sources are C99 files of one set."""
-    listed = "".join(f"      <SourceFile{_written({'name': name})}/>\n" for name in files)
+    listed = "".join(f"      <SourceFile{_xml_attributes({'name': name})}/>\n" for name in files)
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
-        f"  <BuildConfiguration{_written({'modelIdentifier': model.identifier})}>\n"
+        f"  <BuildConfiguration{_xml_attributes({'modelIdentifier': model.identifier})}>\n"
         f'    <SourceFileSet language="C99">\n{listed}    </SourceFileSet>\n  </BuildConfiguration>\n</fmiBuildDescription>\n'
     )
 
@@ -85,7 +89,7 @@ def _about(model: FmuModel) -> str:
     )
 
 
-def _written(attributes: Attributes) -> str:
+def _xml_attributes(attributes: Attributes) -> str:
     """Returns attributes as XML, without those that are None."""
     return "".join(f" {name}={quoteattr(_text(value))}" for name, value in attributes.items() if value is not None)
 
@@ -107,9 +111,9 @@ def _interface(model: FmuModel, kind: str, version: int, files: Sequence[str]) -
         attributes |= {"canHandleVariableCommunicationStepSize": model.period is None}
         attributes |= {} if two else {"fixedInternalStepSize": model.period}
     if not two:
-        return [f"  <{kind}{_written(attributes)}/>"]
-    listed = [f"      <File{_written({'name': name})}/>" for name in files]
-    return [f"  <{kind}{_written(attributes)}>", "    <SourceFiles>", *listed, "    </SourceFiles>", f"  </{kind}>"]
+        return [f"  <{kind}{_xml_attributes(attributes)}/>"]
+    listed = [f"      <File{_xml_attributes({'name': name})}/>" for name in files]
+    return [f"  <{kind}{_xml_attributes(attributes)}>", "    <SourceFiles>", *listed, "    </SourceFiles>", f"  </{kind}>"]
 
 
 def _units(model: FmuModel) -> list[str]:
@@ -117,8 +121,8 @@ def _units(model: FmuModel) -> list[str]:
     units |= {_rate(one) for one in model.states} | {"s"}
     lines = ["  <UnitDefinitions>"]
     for unit in sorted(unit for unit in units if unit is not None):
-        base = f"<BaseUnit{_written(BASE[unit])}/>" if unit in BASE else ""
-        lines.append(f"    <Unit{_written({'name': unit})}>{base}</Unit>")
+        base = f"<BaseUnit{_xml_attributes(BASE[unit])}/>" if unit in BASE else ""
+        lines.append(f"    <Unit{_xml_attributes({'name': unit})}>{base}</Unit>")
     return [*lines, "  </UnitDefinitions>"]
 
 
@@ -156,9 +160,9 @@ def _variables(model: FmuModel, version: int) -> list[str]:
     for i, (name, meaning, kind, number) in enumerate(rows):
         whole = {"name": name, "valueReference": i, "description": meaning, **kind}
         if version == 2:
-            lines.append(f"    <ScalarVariable{_written(whole)}><Real{_written(number)}/></ScalarVariable>")
+            lines.append(f"    <ScalarVariable{_xml_attributes(whole)}><Real{_xml_attributes(number)}/></ScalarVariable>")
         else:
-            lines.append(f"    <Float64{_written({**whole, **number})}/>")
+            lines.append(f"    <Float64{_xml_attributes({**whole, **number})}/>")
     return lines
 
 
@@ -173,7 +177,7 @@ def _structure(model: FmuModel, version: int) -> list[str]:
         attributes: dict[str, str | float | bool | None] = {("index" if index else "valueReference"): unknown[i] + index}
         attributes |= {"dependencies": " ".join(map(str, of))}
         attributes |= {"dependenciesKind": " ".join(["constant"] * len(of))} if kinds else {}
-        return f"<{name}{_written(attributes)}/>"
+        return f"<{name}{_xml_attributes(attributes)}/>"
 
     outputs, derivatives = range(p), range(p, p + n)
     if version == 3:

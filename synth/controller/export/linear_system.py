@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.kinds.signals import KEPT, Signal, kept_signals, load_signal
+from models.kinds.signals import STATE_PREFIX, Signal, kept_signals, load_signal
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.loop_of import HEIGHT, loop_of, named, plant_of, with_lag
+from synth.controller.loop_of import HEIGHT, loop_of, plant_of, with_ending, with_lag
 from synth.plant.state_space import StateSpace
 
 
@@ -27,7 +27,7 @@ def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
     """
     model, loop = vehicle.linear_model, loop_of(vehicle, controller)
     loop = replace(loop, plant=_with_heights(vehicle, loop.plant))
-    states = (*loop.plant.states, *(f"{KEPT}{i}" for i in range(1, loop.law.states + 1)))
+    states = (*loop.plant.states, *(f"{STATE_PREFIX}{i}" for i in range(1, loop.law.states + 1)))
     return replace(loop.closed_loop.part(model.outputs, (*model.disturbances, *model.loads)), states=states)
 
 
@@ -37,13 +37,18 @@ def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
     known = {name: load_signal(name) for name in model.loads}
     lagged = zip(with_lag(vehicle).states[len(model.states) :], model.inputs, strict=False)
     known |= {name: replace(kind.signal(force), name=name) for name, force in lagged}
-    known |= {one.name: one for name in names if name.startswith(KEPT) for one in kept_signals([name.removeprefix(KEPT)])}
+    known |= {
+        one.name: one
+        for name in names
+        if name.startswith(STATE_PREFIX)
+        for one in kept_signals([name.removeprefix(STATE_PREFIX)])
+    }
     return tuple(known.get(name) or kind.signal(name) for name in names)
 
 
 def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
     """Returns the plant of a vehicle with its roads' heights as states, if they act: integrals of the roads' velocities."""
-    roads, heights = vehicle.linear_model.disturbances, plant.columns(named(vehicle.linear_model.disturbances, HEIGHT))
+    roads, heights = vehicle.linear_model.disturbances, plant.columns(with_ending(vehicle.linear_model.disturbances, HEIGHT))
     B, D, r = plant.B[:, heights], plant.D[:, heights], len(roads)
     if not B.any() and not D.any():
         return plant

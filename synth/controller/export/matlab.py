@@ -17,7 +17,7 @@ from synth.controller.report import study_notes
 VEHICLE, QUOTE = "vehicle", "'"
 TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # with no date, so that the same content has the same bytes
 LONGEST = 63  # characters of a name in MATLAB, and in a file of version 5
-RESERVED = {  # by MATLAB, and by the script
+RESERVED_WORDS = {  # by MATLAB, and by the script
     *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if", "otherwise"),
     *("parfor", "persistent", "return", "spmd", "switch", "try", "while", "file", "loop", "plant"),
 }
@@ -25,7 +25,7 @@ RESERVED = {  # by MATLAB, and by the script
 
 def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
     """Returns the name of each controller's struct, all different and none the vehicle's."""
-    names, taken = dict[str, str](), {VEHICLE, *RESERVED}
+    names, taken = dict[str, str](), {VEHICLE, *RESERVED_WORDS}
     for one in controllers:
         plain = c_name(one.name)[: LONGEST - 4]
         name = next(name for name in (plain, *(f"{plain}_{i}" for i in range(2, 10_000))) if name not in taken)
@@ -48,13 +48,17 @@ def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
     system, period = vehicle_system(vehicle), vehicle.implementation.sample_period
     matrices = {name: getattr(system, name) for name in "ABCD"}
     signals = {name: signals_of(vehicle, getattr(system, name)) for name in ("inputs", "states", "outputs")}
-    model = matrices | {"Ts": 0.0} | {name: value for key, some in signals.items() for name, value in _named(key, some).items()}
+    model = (
+        matrices | {"Ts": 0.0} | {name: value for key, some in signals.items() for name, value in _cell_arrays(key, some).items()}
+    )
     content: dict[str, Any] = {VEHICLE: {"kind": vehicle.kind.name, "model": model}}
     for one in controllers:
         law = one.law
         read, given = ([vehicle.kind.signal(name) for name in some] for some in (one.measured, vehicle.linear_model.inputs))
         struct = {name: getattr(law, name) for name in "ABCD"} | {"Ts": law.sample_period or 0.0, "gain": law.D}
-        struct |= _named("inputs", read) | _named("outputs", given) | {"certificate": _plain(to_record(one.certificate))}
+        struct |= (
+            _cell_arrays("inputs", read) | _cell_arrays("outputs", given) | {"certificate": _plain(to_record(one.certificate))}
+        )
         if law.anti_windup is not None:
             struct["anti_windup"] = law.anti_windup
         if period is not None:
@@ -66,7 +70,7 @@ def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
     return TITLE.ljust(116) + file.getvalue()[116:]
 
 
-def _named(what: str, signals: Sequence[Signal]) -> dict[str, Any]:
+def _cell_arrays(what: str, signals: Sequence[Signal]) -> dict[str, Any]:
     """Returns names, units and meanings of signals as cell arrays."""
     columns = {what: "name", f"{what}_units": "unit", f"{what}_meanings": "meaning"}
     return {key: _cell([getattr(one, attribute) for one in signals]) for key, attribute in columns.items()}

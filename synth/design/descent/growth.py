@@ -24,7 +24,7 @@ def price(growth: float) -> float:
     return WORTH * math.log2(growth)
 
 
-def grown(
+def lower_by_growth(
     x: Array,
     value: Value,
     lower: Callable[[Array, Value, float], tuple[Array, Value]],

@@ -29,7 +29,7 @@ from scipy.linalg import lapack
 from models.common.arrays import Array
 from synth.analysis.norm import ILL_CONDITIONED, highest, largest_singular_values, level_crossings
 from synth.analysis.stability import balance
-from synth.plant.discrete import mapped
+from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant
 
 # pyright: reportAttributeAccessIssue=false
@@ -156,7 +156,7 @@ class Landscape:
         structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
         work: counts the norms; without a limit if it is not given.
         """
-        image, self.before = mapped(plant)
+        image, self.before = continuous_image(plant)
         A, self.balancing = balance(image.A)
         each = self.balancing[:, None]
         inputs = {"B": image.B / each, "Bw": image.Bw / each}

@@ -28,15 +28,15 @@ from synth.design.descent.landscape import Landscape, balanced_coordinates
 from synth.design.descent.terms import Linearisation, NormTerm, Term
 from synth.plant.numerics import up_to_rounding
 
-STALLED = 1e-4  # decrease over seven rounds that counts as none, of a function whose values are of order one
+STALLED_DECREASE = 1e-4  # decrease over seven rounds that counts as none, of a function whose values are of order one
 
 STAGE = 30  # rounds
 WORTH_A_STAGE = 3e-5  # relative decrease of the norm
-ENDED = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
+ENDING_DECREASE = 1e-5  # relative decrease of the norm over `OVER` rounds that ends a stage
 
 NEAR = 0.7  # share of a limit: entries beyond it are limited from the first
 
-KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
+BOUND_TOLERANCE = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
 POINTS = 3  # whose values are cached: the last one, and those of trial steps
 
 Function = Callable[[Array], tuple[float, Array]]
@@ -54,7 +54,7 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     inverse = np.eye(len(x)) * 0.1 / max(float(np.linalg.norm(slope)), 1e-300)
     recent = [value]
     for turn in range(rounds):
-        if value < target or (len(recent) > 8 and recent[-8] - value < STALLED):
+        if value < target or (len(recent) > 8 and recent[-8] - value < STALLED_DECREASE):
             break
         direction = -inverse @ slope
         fall = float(slope @ direction)
@@ -104,7 +104,7 @@ class Evaluation:
     @property
     def within(self) -> bool:
         """True if all bounds are kept."""
-        return self.excess <= KEPT
+        return self.excess <= BOUND_TOLERANCE
 
 
 Model = list[tuple[int, Linearisation]]  # functions near a point, each with the index of its term
@@ -174,7 +174,7 @@ class MinimaxProblem:
         excess: dict[str, float] = {}
         for term in sorted(self.bounds, key=lambda term: -term.value(x)):
             excess.setdefault(term.name, term.value(x) - 1)
-        return {name: share for name, share in excess.items() if share > KEPT}
+        return {name: share for name, share in excess.items() if share > BOUND_TOLERANCE}
 
     def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
         """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
@@ -212,7 +212,7 @@ def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enou
     for done in range(0, rounds, STAGE):
         with up_to_rounding():
             M, before = balanced_coordinates(landscape, x), norm
-            x, there = descend(minimax, x, M, min(STAGE, rounds - done), enough=enough, flat=ENDED)
+            x, there = descend(minimax, x, M, min(STAGE, rounds - done), enough=enough, flat=ENDING_DECREASE)
             norm = there.goal
             if enough < norm <= before * (1 - WORTH_A_STAGE) and not landscape.work.over:
                 continue
@@ -260,7 +260,7 @@ class _Walk:
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
         self.hessian = 0.1 * np.eye(M.shape[1])
-        self.kept = Cuts()
+        self.kept_cuts = Cuts()
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
@@ -300,7 +300,7 @@ class _Walk:
         if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < self.flat * self.recent[-1]:
             return False
         fresh = minimax.model(x, self.evaluation, self.depth)
-        goals, bounds = self.linear(fresh + minimax.of_cuts(x, self.kept))
+        goals, bounds = self.linear(fresh + minimax.of_cuts(x, self.kept_cuts))
         _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
         curvature = self.curvature(fresh, of_goals, of_bounds)
         if np.any(curvature):
@@ -334,7 +334,7 @@ class _Walk:
             length *= 0.3
         else:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
-            self.kept += beyond
+            self.kept_cuts += beyond
             return True
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
             needed = self.merit(there) - 0.1 * length * fall * here
@@ -342,7 +342,7 @@ class _Walk:
             if self.merit(further) > needed:
                 break
             length, there = 3 * length, further
-        self.failures, self.kept = (0 if length > 0.05 else self.failures), beyond
+        self.failures, self.kept_cuts = (0 if length > 0.05 else self.failures), beyond
         self.damping = max(self.damping / 4, 1e-8) if length >= 1 else self.damping * 2
         self.x = np.clip(x + length * move, -minimax.limit, minimax.limit)
         self.evaluation = minimax.evaluate(self.x)

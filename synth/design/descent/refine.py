@@ -11,7 +11,7 @@ from models.common.printed import brief, digits, percent
 from models.laws.linear import static_law
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
-from synth.design.descent.growth import WORTH, grown
+from synth.design.descent.growth import WORTH, lower_by_growth
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import descend_norm
 from synth.design.problem import SEEN
@@ -82,10 +82,10 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
     K = real_matrix(K, "K", str(shape))
     if K.shape != shape:
         raise InputError(f"K has shape {K.shape}; expected {shape}: one row for each force, one column for each measured signal")
-    return lowered(Landscape(plant), plant, K)
+    return lower_norm(Landscape(plant), plant, K)
 
 
-def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
+def lower_norm(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
     """Returns the result of `refine` on the landscape of a plant; no stage begins once its work is over."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
@@ -97,7 +97,7 @@ def lowered(landscape: Landscape, plant: Plant, K: Array) -> Refinement:
     def lower(x: Array, norm: float, largest: float) -> tuple[Array, float]:
         return (x, norm) if landscape.work.over else descend_norm(landscape, x, np.full(len(x), largest), ROUNDS)
 
-    x, norm, refused = grown(x, before, lower, lambda norm, reached: 1 - reached / norm)
+    x, norm, refused = lower_by_growth(x, before, lower, lambda norm, reached: 1 - reached / norm)
     first, size = float(np.abs(start).max()), float(np.abs(x).max())
     # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)

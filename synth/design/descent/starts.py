@@ -149,7 +149,7 @@ SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative l
 MOST_SHIFTS = 40
 ROUNDS = 100  # of the descent on the largest real part
 OF_ALL = 2.0  # times the work of a norm of the plant's: that from every state to every state
-STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
+STALLED_SHIFTS = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
 
 
 def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Iterator[Array]:
@@ -206,17 +206,17 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
     x = x if patient else lower_poles([landscape], x, np.arange(len(x)))
     history = [landscape.abscissa(x)[0] / rate]
     for _ in range(MOST_SHIFTS):
-        left, shifts = STALLED
+        left, shifts = STALLED_SHIFTS
         lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
         if history[-1] <= 0.1 * STABLE or lost or landscape.work.over or np.any(np.abs(x) > limit):
             break
-        x, _ = descend_norm(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
+        x, _ = descend_norm(shifted_landscape(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
         history.append(landscape.abscissa(x)[0] / rate)
     inside = np.all(np.abs(x) <= limit) and np.isfinite(landscape.norm(x)[0])
     return x if inside else None
 
 
-def shifted(landscape: Landscape, shift: float) -> Landscape:
+def shifted_landscape(landscape: Landscape, shift: float) -> Landscape:
     """The landscape of (s - A - B K C_y + shift)^-1, in the same coordinates."""
     own, (n, m) = landscape.plant, landscape.plant.B.shape
     eye, nothing = np.eye(n), np.zeros((n, n))

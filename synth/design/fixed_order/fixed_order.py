@@ -39,9 +39,9 @@ from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MultiObjectiveProblem, NormSpecification
 from synth.design.problem import DESCENT, DesignProblem, DesignResult, Progress, as_designed
-from synth.design.static import CONVERGED, MOST, Candidate, GainSearch, bounded_work
+from synth.design.static import LAST_ROUNDS, MOST, Candidate, GainSearch, bounded_work
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.plant.discrete import mapped
+from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant, check_inputs, check_posed
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
@@ -53,12 +53,12 @@ POLES = (0.1, 1.0, 10.0)  # of an appended state, times the plant's speed
 READS = 0.1  # what it reads, in these units
 SHARES = (1e-1, 1e-2, 1e-3)  # of noise and cost, with which laws of full order are made,
 MARGINS = (1e-2, 1e-1, 1.0)  # and how far above the least gamma, relative
-ENTERED = 4  # starts of a kind that go down
+STARTS_OF_A_KIND = 4  # starts of a kind that go down
 FEW = 2  # stabilising starts of a static gain, where a law may have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure with a stable loop was found; measure more signals, or allow more states"
-CAPPED = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
+CAPPED_REMARK = "an entry of the law is at the limit of the search: a larger entry may give a lower norm, but faster poles"
 ONE_STATE = LawStructure(1)
 
 
@@ -122,12 +122,12 @@ def fixed_order_design(
     search.check_stabilisable(structure, states)
     best = search.designed(structure, states, known, on_found)
     stopped = counted.text if counted.over else ""
-    remarks = [_remark(structure, best.law, m, stopped), CAPPED if search.capped else "", stopped]
+    remarks = [_remark(structure, best.law, m, stopped), CAPPED_REMARK if search.capped else "", stopped]
     given = best.law, best.certificate, DESCENT
     return DesignResult(*given, remarks=tuple(text for text in remarks if text), origin=best.origin)
 
 
-def structured(problem: DesignProblem, progress: Progress) -> DesignResult:
+def design_structured(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Designs a law of a given order or structure by descent."""
     structure = problem.structure
     assert structure is not None, "it is for a structure"
@@ -181,8 +181,8 @@ class _Search:
         if reasons := "; ".join(stabilisability_failures(self.plant, states)):
             raise InfeasibleError(reasons)
         if structure.kind:
-            posed = structured_gain(structure, self.plant)
-            if stabilisability_failures(posed.plant):
+            problem = structured_gain(structure, self.plant)
+            if stabilisability_failures(problem.plant):
                 raise InfeasibleError(
                     f'structure = "{structure.kind}" integrates a signal that no constant force changes, so the pole at 0 stays '
                     "in the loop and no norm is finite; measure a signal that a constant force "
@@ -241,17 +241,17 @@ class _Search:
         Raises:
             DesignError: no gain makes the loop stable.
         """
-        posed = structured_gain(structure, self.plant)
-        shape = posed.free.shape
+        plant_problem = structured_gain(structure, self.plant)
+        shape = plant_problem.free.shape
         problem = MultiObjectiveProblem(
-            members=(FamilyMember((posed.plant,)),),
+            members=(FamilyMember((plant_problem.plant,)),),
             minimise=NormSpecification(),
             tolerance=GainErrors(np.zeros(shape[1]), np.zeros(shape[0])),
-            structure=posed.free,
+            structure=plant_problem.free,
         )
-        gain = multi_objective_design(problem, [posed.gain(law) for law in known]).gain
+        gain = multi_objective_design(problem, [plant_problem.gain(law) for law in known]).gain
         origin = "many starts, ended before the gain grows too much; the loop keeps a tenth of the decay of its start"
-        end = self.beyond_rounding(posed.law(gain), origin)
+        end = self.beyond_rounding(plant_problem.law(gain), origin)
         if end.certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(end.certificate.failures)}")
         return end
@@ -264,7 +264,7 @@ class _Search:
         """
         if np.any(self.plant.Dyu):
             return []
-        laws, image, gamma = list[LinearLaw](), mapped(self.plant), LARGEST
+        laws, image, gamma = list[LinearLaw](), continuous_image(self.plant), LARGEST
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             riccati = RiccatiSearch(image[0], self.below.gamma)
             for share in SHARES:
@@ -315,10 +315,10 @@ class _Search:
             laws.append(_sum(each))
         return laws
 
-    def of(self, posed: StructuredGain, states: int, limit: float) -> GainSearch:
+    def of(self, problem: StructuredGain, states: int, limit: float) -> GainSearch:
         """The search for a static gain that is a law of so many states."""
         alike = partial(in_equal_units, states=states)
-        search = GainSearch(posed.plant, 1.0, self.below.gamma, posed.free, alike, WITHIN, work=self.work)
+        search = GainSearch(problem.plant, 1.0, self.below.gamma, problem.free, alike, WITHIN, work=self.work)
         search.limit, self.enough = np.full(len(search.limit), limit), search.enough
         return search
 
@@ -341,23 +341,23 @@ class _Search:
         Raises:
             DesignError: no start is stable.
         """
-        posed = structured_gain(structure, self.plant)
-        states = len(posed.plant.A) - len(self.plant.A) if posed.filters is None else 0
+        problem = structured_gain(structure, self.plant)
+        states = len(problem.plant.A) - len(self.plant.A) if problem.filters is None else 0
         starts = [(each, name) for law, name in starts for each in self.filled(structure, law)]
         slowest: End | None = None
         for limit in LIMITS:
-            search = self.of(posed, states, limit)
-            points = [(search.landscape.point(posed.gain(law)), name) for law, name in starts]
+            search = self.of(problem, states, limit)
+            points = [(search.landscape.point(problem.gain(law)), name) for law, name in starts]
             stable = sorted((each for point in points for each in search.feasible_candidates(*point)), key=lambda each: each.norm)
             names = dict.fromkeys(name for _, name in starts)
-            candidates = [each for name in names for each in [one for one in stable if one.origin == name][:ENTERED]]
+            candidates = [each for name in names for each in [one for one in stable if one.origin == name][:STARTS_OF_A_KIND]]
             candidates = candidates or (search.starts(sought) if sought else [])
             if not candidates:
                 continue
             best = search.best(candidates) if whole else search.successive_halving(candidates)
-            law = posed.law(search.landscape.gain(best.x))
+            law = problem.law(search.landscape.gain(best.x))
             if self.stable:
-                law = self.made_stable(posed, [law, *(posed.law(search.landscape.gain(each.x)) for each in candidates)])
+                law = self.made_stable(problem, [law, *(problem.law(search.landscape.gain(each.x)) for each in candidates)])
                 if law is None:
                     continue
             end = self.beyond_rounding(law, origin or best.origin)
@@ -365,21 +365,21 @@ class _Search:
                 continue
             if end.certificate.speed_up <= self.most:
                 at_limit = whole and not search.reached(best) and bool(np.any(np.abs(best.x) >= AT_LIMIT * limit))
-                return self.further(posed, states, best, limit, end) if at_limit else end
+                return self.further(problem, states, best, limit, end) if at_limit else end
             slowest = end if slowest is None else min(slowest, end, key=lambda each: each.certificate.speed_up)
         if slowest is None:
             raise DesignError(self.no_law)
         return slowest
 
-    def further(self, posed: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
+    def further(self, problem: StructuredGain, states: int, best: Candidate, limit: float, end: End) -> End:
         """Returns the law of a descent beyond the limit on entries that one stopped at, if it is lower and not too fast.
 
         A pole of a chain of integrators moves as a root of the entry, so that larger entries need not make it too fast.
         """
         for wider in WIDER:
-            search = self.of(posed, states, wider * limit)
-            moved = search.step(best, CONVERGED)
-            wide = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)), end.origin)
+            search = self.of(problem, states, wider * limit)
+            moved = search.step(best, LAST_ROUNDS)
+            wide = self.beyond_rounding(problem.law(search.landscape.gain(moved.x)), end.origin)
             lower = moved.norm < best.norm * (1 - WITHIN) and not wide.certificate.failures
             if lower and wide.certificate.speed_up <= self.most and not (self.stable and self.as_run(wide.law).growth):
                 self.capped = bool(np.any(np.abs(moved.x) >= AT_LIMIT * wider * limit))
@@ -398,7 +398,7 @@ class _Search:
                 return End(moved, origin, there)
         return end
 
-    def made_stable(self, posed: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
+    def made_stable(self, problem: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
         """Returns the best law that is stable by itself, by descent from those of these that are; None if none is."""
         fits = [law for law in laws if not self.as_run(law).growth]
         if laws[0] in fits[:1]:
@@ -408,7 +408,7 @@ class _Search:
             ends.append((self.certified(law).norm.value, law))
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 light = LIGHTLY * ends[-1][0] * self.fastest
-                lower = posed.law(descend_stable(posed.plant, posed.gain(law), law.states, light, posed.free))
+                lower = problem.law(descend_stable(problem.plant, problem.gain(law), law.states, light, problem.free))
                 if not self.as_run(lower).growth:
                     ends.append((self.certified(lower).norm.value, lower))
         return min(ends, key=lambda each: each[0])[1] if ends else None

@@ -18,7 +18,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
-from synth.design.full_order.riccati import parted
+from synth.design.full_order.riccati import split_modes
 from synth.plant.generalized import Plant
 
 
@@ -34,7 +34,7 @@ def reductions(plant: Plant, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
         yield from _cut(law, reached, seen, k)
     with contextlib.suppress(InputError, np.linalg.LinAlgError, ValueError):
         slow = law.continuous()
-        growing, decaying = parted(slow, lambda real, imag: real >= 0)
+        growing, decaying = split_modes(slow, lambda real, imag: real >= 0)
         left = k - growing.states
         if left >= 0:
             decaying = LinearLaw(decaying.A, decaying.B, decaying.C, np.zeros_like(law.D))

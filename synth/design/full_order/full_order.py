@@ -27,9 +27,9 @@ from synth.design.descent.minimax import descend_norm
 from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select
 from synth.design.full_order.stable import stable_laws
 from synth.design.problem import LARGEST_GAIN, DesignProblem, DesignResult, Progress, as_designed
-from synth.design.static import REACHED, static_output_feedback
+from synth.design.static import BOUND_TOLERANCE, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
-from synth.plant.discrete import mapped
+from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant, check_inputs, check_posed, gain_law, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
@@ -45,7 +45,7 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
 
     Args:
         law: law in continuous time.
-        image, K0: result of `mapped`.
+        image, K0: result of `continuous_image`.
         dt: seconds between samples.
 
     Raises:
@@ -70,7 +70,7 @@ def discrete_law(law: LinearLaw, image: Plant, K0: Array, dt: float) -> LinearLa
 BEYOND = 10.0  # times the gain that makes poles as fast as they may be
 SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
 STAGES, ROUNDS = 20, 60  # of the descent of a law
-FALLING = 3e-4  # relative; a stage that falls by less is the last
+LEAST_FALL = 3e-4  # relative; a stage that falls by less is the last
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
@@ -97,7 +97,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
         return search.judged(0.0, gain_law(gain, m, q))
 
     landscape = Landscape(own.with_states(start.own.states))
-    x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + REACHED)
+    x, enough = landscape.point(law_gain(start.own)), search.bound * (1 + BOUND_TOLERANCE)
     norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
     for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
         most = float(np.abs(x).max()) * (2 if stage else 1)
@@ -106,7 +106,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
             each = point(landscape.gain(x))
             if each is not None and each.speed_up <= limit:
                 best.append(each)
-                if enough < reached < norm * (1 - FALLING):
+                if enough < reached < norm * (1 - LEAST_FALL):
                     norm = reached
                     continue
         break
@@ -189,7 +189,7 @@ def full_order_design(
             "the sample period of a discrete plant already limits the speed of its loop; omit fastest_pole and fastest"
         )
     below = find_lower_bound(plant) if lower_bound is None else lower_bound
-    image = mapped(plant)
+    image = continuous_image(plant)
     search = RiccatiSearch(image[0], below.gamma, DEADBEAT / plant.dt if plant.dt is not None else 0.0)
     if fastest_pole is not None:
         fastest = min(fastest, fastest_pole / search.fastest)

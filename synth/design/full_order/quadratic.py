@@ -30,7 +30,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", without its direct effect on z, whose power is infinite"
-ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
+ASSUMED_SIZE = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
 LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
 
@@ -184,8 +184,8 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
     if reasons := "; ".join(stabilisability_failures(plant, states)):
         raise InfeasibleError(reasons)
     own = NormalisedPlant.of(shaken)
-    Dyw_T = np.delete(own.plant.Dyw, list(_known(own.plant)), axis=0).T
-    (cost, least_cost), (unheard, least_noise) = _assumed(own.plant.D), _assumed(Dyw_T)
+    Dyw_T = np.delete(own.plant.Dyw, list(_known_states(own.plant)), axis=0).T
+    (cost, least_cost), (unheard, least_noise) = _assumed_rows(own.plant.D), _assumed_rows(Dyw_T)
     least = min(least_cost, np.inf if all_known else least_noise)
     try:
         law, assumed = _law(own, all_known, cost, unheard * (not all_known))
@@ -198,17 +198,17 @@ def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array |
         what = "noise of a measurement" if least < least_cost else "cost of a force"
         raise DesignError(
             f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too small for floating point: give "
-            f"more, or omit it to use {100 * ASSUMED:g} %"
+            f"more, or omit it to use {100 * ASSUMED_SIZE:g} %"
         ) from error
-    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed where they are missing"
+    share = f"{100 * ASSUMED_SIZE:g} % of the plant's own size was assumed where they are missing"
     remark = f"this design needs {' and '.join(assumed)}; {share}" if assumed else ""
     method = "a Riccati equation" if all_known else "two Riccati equations"
     value, remarks = h2_norm(shaken.closed(law)), (remark,) if remark else ()
     return DesignResult(law, certificate, method, remarks=remarks, value=value, criterion=H2_NORM)
 
 
-def _assumed(D: Array) -> tuple[Array, float]:
-    """Returns the rows that raise the zero singular values of D to `ASSUMED`, and the least of the others.
+def _assumed_rows(D: Array) -> tuple[Array, float]:
+    """Returns the rows that raise the zero singular values of D to `ASSUMED_SIZE`, and the least of the others.
 
     Args:
         D: shape (d, m).
@@ -219,7 +219,7 @@ def _assumed(D: Array) -> tuple[Array, float]:
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
     there = sizes > NOTHING * max(1.0, sizes.max(initial=0.0))
-    return ASSUMED * directions[~there], float(sizes[there].min(initial=np.inf))
+    return ASSUMED_SIZE * directions[~there], float(sizes[there].min(initial=np.inf))
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
@@ -234,7 +234,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
     if all_known:
         return own.back(static_law(K @ np.linalg.inv(plant.Cy))), assumed
     unreached = "w does not disturb a mode that neither decays nor grows; add a disturbance of this mode"
-    known = _known(plant)
+    known = _known_states(plant)
     rest, states = np.delete(np.arange(len(plant.Cy)), list(known)), np.delete(np.arange(len(plant.A)), list(known.values()))
     A, B, Cy = plant.A[np.ix_(states, states)], plant.B[states], plant.Cy[np.ix_(rest, states)]
     part = plant.unchecked(A=A, B=B, Bw=plant.Bw[states], C=plant.C[:, states], Cy=Cy, Dyu=plant.Dyu[rest], Dyw=plant.Dyw[rest])
@@ -248,7 +248,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
     return own.back(LinearLaw(A + B @ K[:, states] + L @ Cy, into, K[:, states], direct)), assumed
 
 
-def _known(plant: Plant) -> dict[int, int]:
+def _known_states(plant: Plant) -> dict[int, int]:
     """Returns the states that are read without noise by a row of their own and act on z alone, by that row."""
     known = {}
     for row, (states, noise) in enumerate(zip(plant.Cy, plant.Dyw, strict=True)):
@@ -258,7 +258,7 @@ def _known(plant: Plant) -> dict[int, int]:
     return known
 
 
-def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
+def _stabilising_solution(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     """Returns X of a regulator's Riccati equation. With slow modes next to the axis SciPy's balancing may lose it.
 
     Raises:
@@ -279,7 +279,7 @@ def _regulator(plant: Plant, more: Array, advice: str) -> Array:
     each = directions.T / sizes  # of inputs that cost one, and nothing together
     B, D = B @ each, turned[: len(D)]
     try:
-        X = _stabilising(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)
+        X = _stabilising_solution(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)
         K = -B.T @ X - D.T @ C
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"a Riccati equation has no stabilising solution: {advice}") from error

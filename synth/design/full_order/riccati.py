@@ -76,8 +76,8 @@ def central_law(plant: Plant, gamma: float) -> LinearLaw:
     B, C = np.hstack([B1, B2]), np.vstack([C1, C2])
     D1 = np.hstack([D11, np.eye(d)[:, i:]])
     E1 = np.vstack([D11, np.eye(r)[j:]])
-    X, F = _stabilising(A, B, C1, D1, D1.T @ D1 - square * np.diag([1.0] * r + [0.0] * m))
-    Y, H = _stabilising(A.T, C.T, B1.T, E1.T, E1 @ E1.T - square * np.diag([1.0] * d + [0.0] * q))
+    X, F = _stabilising_solution(A, B, C1, D1, D1.T @ D1 - square * np.diag([1.0] * r + [0.0] * m))
+    Y, H = _stabilising_solution(A.T, C.T, B1.T, E1.T, E1 @ E1.T - square * np.diag([1.0] * d + [0.0] * q))
     if np.abs(np.linalg.eigvals(X @ Y)).max(initial=0.0) >= square * (1 - EDGE):
         raise InfeasibleError("the spectral radius of X Y reaches gamma^2")
     F12, F2, H12, H2 = F[j:r], F[r:], H[i:d].T, H[d:].T
@@ -102,7 +102,7 @@ def state_gain(plant: Plant, gamma: float, share: float = 0.0) -> Array:
     cost = missing(plant.D, share * max(_size(plant.D), _size(plant.C)))
     C, D1 = np.vstack([plant.C, np.zeros((m, n))]), np.block([[plant.Dw, plant.D], [np.zeros((m, r)), cost]])
     R = D1.T @ D1 - gamma**2 * np.diag([1.0] * r + [0.0] * m)
-    return _stabilising(plant.A, np.hstack([plant.Bw, plant.B]), C, D1, R)[1][r:]
+    return _stabilising_solution(plant.A, np.hstack([plant.Bw, plant.B]), C, D1, R)[1][r:]
 
 
 def _last(D: Array) -> tuple[Array, Array]:
@@ -112,7 +112,7 @@ def _last(D: Array) -> tuple[Array, Array]:
     return np.hstack([turned[:, m:], turned[:, :m]]), directions.T / sizes
 
 
-def _stabilising(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, Array]:
+def _stabilising_solution(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, Array]:
     """X >= 0 of A'X + X A - (X B + C'D) R^-1 (..)' + C'C = 0 with A + B F stable, and F = -R^-1 (B'X + D'C)."""
     try:
         X = _invariant(A, B, C.T @ C, R, C.T @ D)
@@ -178,10 +178,10 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
     Raises:
         LinAlgError: rounding leaves no such parts.
     """
-    slow, quick = parted(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
+    slow, quick = split_modes(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
     at_once = quick.C @ np.linalg.solve(quick.A, quick.B) if quick.states else np.zeros_like(law.D)
-    growing, decaying = parted(slow, lambda real, imag: real >= 0)
-    kept = _truncated(decaying)
+    growing, decaying = split_modes(slow, lambda real, imag: real >= 0)
+    kept = _truncate_law(decaying)
     if growing.states + kept.states == law.states:
         return law
     return LinearLaw(
@@ -192,7 +192,7 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
     )
 
 
-def parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
+def split_modes(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
     """The modes that belong to the first part, and the others, side by side: without D, which belongs to both."""
     none = np.zeros_like(law.D)
     if not law.states:
@@ -204,7 +204,7 @@ def parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
     return LinearLaw(one, B[:k] - X @ B[k:], C[:, :k], none), LinearLaw(other, B[k:], C[:, k:] + C[:, :k] @ X, none)
 
 
-def _truncated(law: LinearLaw) -> LinearLaw:
+def _truncate_law(law: LinearLaw) -> LinearLaw:
     """Returns a stable law without modes of negligible Hankel singular values (square-root method)."""
     if not law.states:
         return law
@@ -242,7 +242,7 @@ PARTS = (1.0, 0.1)  # of the speed that is much: poles of a law beyond it are le
 OWN_PART = 0.3  # of the law's own speed: its fastest poles alone
 PRICE = 1e-3  # relative; what a law of ten times the speed must take from the norm, beyond the speed that is much
 HALVINGS = 4  # of the step between two shares, to come next to a limit on speed
-ROUNDED = 1e-8  # relative; what rounding may take from a gain at one frequency
+ROUNDING_OF_GAIN = 1e-8  # relative; what rounding may take from a gain at one frequency
 SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
 
 
@@ -454,7 +454,7 @@ class RiccatiSearch:
             return None
         poles = np.linalg.eigvals(beside_weights(self.given, system.A)) if self.given.weights else loop.poles
         speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
-        return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDED) / own.norm, speed_up)
+        return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDING_OF_GAIN) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
         """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""

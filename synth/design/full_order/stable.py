@@ -40,12 +40,12 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
     for start in laws[:STARTS]:
         if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.plant.Cy)) <= most:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
-                lower = search.judged(0.0, _descended(search, start))
+                lower = search.judged(0.0, _descend_from(search, start))
                 laws += [lower] if lower is not None and fits(lower) else []
     return laws
 
 
-def _descended(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
+def _descend_from(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
     """Returns the law at the end of the descent from a stable one, in own units; it may be unstable by rounding.
 
     Raises:

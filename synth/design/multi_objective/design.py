@@ -49,13 +49,13 @@ class MultiObjectiveDesign:
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
-            posed = member.posed[self.problem.minimise.which].without_weighting
+            problem = member.posed[self.problem.minimise.which].without_weighting
             if not self.problem.has_errors:
-                loop = posed.closed_loop(Feedback(posed.acting(self.gain), posed.Cy))
+                loop = problem.closed_loop(Feedback(problem.acting(self.gain), problem.Cy))
                 members += [] if is_stable(loop.A, loop.dt) else [i]
                 continue
             with up_to_rounding():
-                if stable_with_errors(posed, self.gain, tolerance.sensors, tolerance.forces) is not None:
+                if stable_with_errors(problem, self.gain, tolerance.sensors, tolerance.forces) is not None:
                     continue
             members.append(i)
         return tuple(members)
@@ -95,7 +95,10 @@ def multi_objective_design(
         >>> design.gain.round(2)
         array([[-5.]])
     """
-    if any(posed.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
+    if (
+        any(plant_problem.dt is not None for member in problem.members for plant_problem in member.posed)
+        and problem.decay is not None
+    ):
         raise InputError("decay [rad/s] is for continuous plants only; omit it and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "the shape of the structure")
@@ -123,10 +126,14 @@ def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) ->
     """Runs the search, started from the two steps of the first, middle and last member, and from its own starts."""
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
-        posed = problem.members[i].posed[0]
-        of_state = np.any(posed.Cy != 0, axis=1)  # of forces alone nothing is designed
+        plant_problem = problem.members[i].posed[0]
+        of_state = np.any(plant_problem.Cy != 0, axis=1)  # of forces alone nothing is designed
         with contextlib.suppress(InputError):
-            gains.append(posed.on_readings(on_all_rows(two_step_design(posed.rows(of_state)).gain, of_state, len(of_state))))
+            gains.append(
+                plant_problem.on_readings(
+                    on_all_rows(two_step_design(plant_problem.rows(of_state)).gain, of_state, len(of_state))
+                )
+            )
     return multi_objective_design(problem, gains, on_progress)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, list_names
 from models.common.schema import read
 from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from synth.design.multi_objective.objectives import BoundedSignal
@@ -76,8 +76,8 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
         if any(getattr(plant, name).shape != getattr(first, name).shape for name in MATRICES) or plant.dt != first.dt:
             has, expected = ([f"{name} {getattr(one, name).shape}" for name in MATRICES] for one in (plant, first))
             raise InputError(
-                f"{where} family[{i}] has the shapes {listing(has)}, and dt = {plant.dt}; expected those of the plant: "
-                f"{listing(expected)}, and dt = {first.dt}"
+                f"{where} family[{i}] has the shapes {list_names(has)}, and dt = {plant.dt}; expected those of the plant: "
+                f"{list_names(expected)}, and dt = {first.dt}"
             )
     measured, forces, outputs = (
         _names(letter, count) for letter, count in zip("yuz", (len(first.Cy), *first.D.T.shape), strict=True)
@@ -95,7 +95,7 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
         FamilyMember(
-            tuple(_weighing(plant, norm, outputs) for norm in norms),
+            tuple(_with_outputs_of_norm(plant, norm, outputs) for norm in norms),
             signals=tuple(_signal(where, plant, outputs.index(bound.energy_peak), bound) for bound in energies),
         )
         for plant in plants
@@ -107,7 +107,7 @@ def _names(letter: str, count: int) -> list[str]:
     return [f"{letter}{i + 1}" for i in range(count)]
 
 
-def _weighing(plant: Plant, norm: NormOf, outputs: Sequence[str]) -> Plant:
+def _with_outputs_of_norm(plant: Plant, norm: NormOf, outputs: Sequence[str]) -> Plant:
     """The plant whose z is that of a norm."""
     if norm.signals is None:
         return plant

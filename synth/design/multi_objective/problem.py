@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, Bound, Checked, Index, Matrix, NotNegative, Positive, Vector, check_shape
+from models.common.checks import AT_LEAST_ONE, Bound, CheckedFields, Index, Matrix, NotNegative, Positive, Vector, check_shape
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
@@ -20,7 +20,7 @@ from synth.plant.generalized import Plant
 
 
 @dataclass(frozen=True, eq=False)
-class NormSpecification(Checked):
+class NormSpecification(CheckedFields):
     """Norm in a band, minimised or bounded.
 
     Attributes:
@@ -65,7 +65,7 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
 
 
 @dataclass(frozen=True, eq=False)
-class FamilyMember(Checked):
+class FamilyMember(CheckedFields):
     """A plant of a family, with its signals.
 
     Attributes:
@@ -80,7 +80,7 @@ class FamilyMember(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class GainErrors(Checked):
+class GainErrors(CheckedFields):
     """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
 
     Attributes:
@@ -106,7 +106,7 @@ class GainErrors(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class MultiObjectiveProblem(Checked):
+class MultiObjectiveProblem(CheckedFields):
     """The problem of minimising over K the largest norm over members and errors, within bounds.
 
     Attributes:

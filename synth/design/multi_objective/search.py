@@ -15,9 +15,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
-from synth.design.descent.growth import grown, price
+from synth.design.descent.growth import lower_by_growth, price
 from synth.design.descent.landscape import directions
-from synth.design.descent.minimax import FLAT, KEPT, Evaluation, MinimaxProblem, descend
+from synth.design.descent.minimax import BOUND_TOLERANCE, FLAT, Evaluation, MinimaxProblem, descend
 from synth.design.descent.starts import lower_poles, survey
 from synth.design.descent.terms import NormTerm
 from synth.design.multi_objective.objectives import EnergyPeak
@@ -30,11 +30,11 @@ from synth.plant.numerics import DesignError
 LARGEST_GAIN = 1e5  # largest unbounded gain, in units of a point, while other bounds are exceeded
 DEAREST = 32.0  # times that, or times a larger gain of the start: limit while a goal is lowered
 MOST_VERTICES = 4  # of a box of errors that are all active from the beginning
-ENTERED = 5  # starts that go down some rounds
+ENTERED_STARTS = 5  # starts that go down some rounds
 GLANCE, ROUNDS = 15, 80  # rounds
 TURNS = 12  # limit of descents, each with more active errors
 TURNS_ON = 6  # descents of some rounds by which a given gain is improved
-MET = 1e-6  # relative: errors with a smaller effect are ignored
+MET_TOLERANCE = 1e-6  # relative: errors with a smaller effect are ignored
 ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative: what a descent still gains where it ends, while errors violate it, and at last
 SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
 UNSTABLE = (
@@ -75,7 +75,7 @@ class MinimaxSearch:
                 x, evaluation = self.converge(x, evaluation)
             else:
                 x, evaluation, refused = self.staged_descent(x, evaluation)
-            x, evaluation = self.better(x, evaluation)
+            x, evaluation = self.best_of(x, evaluation)
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 if self.settled == CLOSELY:
                     break
@@ -108,7 +108,7 @@ class MinimaxSearch:
         self.safe_point, best = x, None
         for _ in range(TURNS_ON):
             moved, evaluation = self.brief_descent(x)
-            moved, evaluation = self.better(moved, evaluation)
+            moved, evaluation = self.best_of(moved, evaluation)
             if self.add_violating_errors(moved, evaluation) or self.tighten_peak_bounds(moved):
                 self.incumbent, evaluation = None, self.minimax.evaluate(moved)
             x = moved if np.isfinite(evaluation.goal) else x
@@ -128,7 +128,7 @@ class MinimaxSearch:
         self.update_incumbent(x, evaluation)
         return evaluation
 
-    def better(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
+    def best_of(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
         """Returns the stored point if it is better than this one, or this one."""
         if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
             return self.incumbent
@@ -177,7 +177,7 @@ class MinimaxSearch:
         if not self.rate:
             self.keep_decay(next((x for x in ranked if x.tobytes() in given), ranked[0]))  # others may rank best by being slow
         self.safe_point = ranked[0]
-        return min((self.brief_descent(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
+        return min((self.brief_descent(x) for x in ranked[:ENTERED_STARTS]), key=lambda each: self.cost(*each))
 
     def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
         """Returns starts by increasing cost whose loops are stable with all errors found so far."""
@@ -188,9 +188,9 @@ class MinimaxSearch:
                 ranked = self.ranked(points)
             if not ranked:
                 break
-            unstable = [self.worst.unstable(self.full.gain(x)) for x in ranked[: 2 * ENTERED]]
+            unstable = [self.worst.unstable(self.full.gain(x)) for x in ranked[: 2 * ENTERED_STARTS]]
             if kept := [x for x, errors in zip(ranked, unstable, strict=False) if not errors]:
-                return kept + ranked[2 * ENTERED :]
+                return kept + ranked[2 * ENTERED_STARTS :]
             fresh = self.new_errors(unstable[0])
             if not fresh:
                 break
@@ -225,7 +225,7 @@ class MinimaxSearch:
         bounds = MinimaxProblem(minimax.bounds, [], minimax.limit)
         others = sorted(self.stable_starts, key=lambda start: bounds.evaluate(start).goal)
         best, least = x, bounds.evaluate(x)
-        for start in (x, *others[:ENTERED]):
+        for start in (x, *others[:ENTERED_STARTS]):
             for _ in range(3):
                 start, near = descend(bounds, start, self.coordinates(start), ROUNDS, enough=1.0)
                 if near.goal < least.goal:
@@ -283,7 +283,7 @@ class MinimaxSearch:
             before = self.rank(evaluation)
             return np.inf if there.within != evaluation.within else 1 - self.rank(there) / before if before > 0 else 0.0
 
-        x, evaluation, refused = grown(x, evaluation, lower, bought, size)
+        x, evaluation, refused = lower_by_growth(x, evaluation, lower, bought, size)
         return x, evaluation, refused and refused[0]
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
@@ -300,7 +300,7 @@ class MinimaxSearch:
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)
-        fresh = self.new_errors(errors for beyond, errors in worst if beyond > 1 + MET)
+        fresh = self.new_errors(errors for beyond, errors in worst if beyond > 1 + MET_TOLERANCE)
         if not self.worst.unstable(self.full.gain(x)):
             self.safe_point = x
         self.activate(fresh)
@@ -322,7 +322,7 @@ class MinimaxSearch:
         """Recomputes the road peaks accurately. Tightens each bound that is exceeded and returns True if there was one."""
         tighter = False
         for term in self.minimax.bounds:
-            if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
+            if isinstance(term, RoadPeak) and term.value(x) <= 1 + BOUND_TOLERANCE:
                 passed = peak_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
                 if 1 < passed < 2:
                     term.unit, tighter = term.unit / passed, True

@@ -36,10 +36,10 @@ def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback
         closed: returns the plant and the gain of a law.
         plant: plant without the law's states.
     """
-    return {to: certify_tightly(*closed(rounded(law, to)), by_itself=plant) for to in FORMATS}
+    return {to: certify_tightly(*closed(round_law(law, to)), plant_without_law=plant) for to in FORMATS}
 
 
-def rounded(law: LinearLaw, to: str) -> LinearLaw:
+def round_law(law: LinearLaw, to: str) -> LinearLaw:
     """A law with its matrices in another format.
 
     Args:
@@ -114,7 +114,7 @@ class Fragility:
     def within(self) -> dict[float, ErrorMargin]:
         """Returns the margin by allowed relative increase of the norm."""
         with numerics():
-            return {share: _borne(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
+            return {share: _error_margin(self.heights, self.rays, self.norm * (1 + share)) for share in self.shares}
 
 
 @numerics()
@@ -133,7 +133,7 @@ def fragility(gain: ScaledGain, norms: bool = True) -> Fragility:
     if not np.isfinite(norm):
         raise ValueError("the nominal loop is unstable")
     rays = _rays(heights)
-    borne = _borne(heights, rays, np.inf)
+    borne = _error_margin(heights, rays, np.inf)
     return Fragility(norm, borne, heights, rays) if norms else Fragility(np.inf, borne, heights, rays, ())
 
 
@@ -156,7 +156,7 @@ def _rays(heights: WorstCaseNormFunction) -> Array:
     return np.unique(np.sign(corners - 1), axis=0)
 
 
-def _borne(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
+def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
     """Returns the margin until the norm exceeds a level; for an infinite level, until the loop is unstable."""
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)

@@ -30,7 +30,7 @@ from models.common.arrays import Array
 from synth.analysis.stability import is_stable
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.structured_loop import StructuredLoop
-from synth.lmi.barrier import CENTRED, Barrier, Block, lowest_last, newton
+from synth.lmi.barrier import CENTRE_DECREMENT, Barrier, Block, lowest_last, newton
 from synth.plant.generalized import Plant
 
 NEAR = 3e-4  # relative; how far the bound lies above the best multipliers' peak
@@ -373,7 +373,7 @@ def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[
         return float(p[-1]), None
     last = np.zeros((N, 1, 1))
     last[-1] = -1
-    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), CENTRED)
+    p, _, _ = newton(Barrier([*blocks, (np.array([[square]]), last)]), p, np.zeros(N), CENTRE_DECREMENT)
     return float(p[-1]), p[:-1]
 
 

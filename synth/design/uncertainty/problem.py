@@ -6,7 +6,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.uncertainty_box import Box, ScaledGain
-from synth.plant.discrete import mapped
+from synth.plant.discrete import continuous_image
 from synth.plant.generalized import Plant, law_gain, real_matrix
 
 
@@ -25,7 +25,7 @@ def scaled_gain(plant: Plant, law: Array | LinearLaw) -> ScaledGain:
     law = law if isinstance(law, LinearLaw) else static_law(real_matrix(law, "K", f"({m}, {q})"))
     if law.D.shape != (m, q):
         raise InputError(f"K has shape {law.D.shape}; expected {(m, q)}: a row per input, a column per measured signal")
-    image, K0 = mapped(plant.with_states(law.states))
+    image, K0 = continuous_image(plant.with_states(law.states))
     return ScaledGain(image, law_gain(law), K0, q, m)
 
 

@@ -31,7 +31,7 @@ FURTHEST = 16.0  # of the logarithm of a scale, from the loop's own units
 EASY = 0.9  # of the level; scales below that are not bettered
 MOST_STEPS = 60  # with one Schatten norm
 CLOSE = 1e-7  # of the logarithm of a single scale
-TRIED = 4  # peaks of the loop in its units that are climbed first
+REFINED_PEAKS = 4  # peaks of the loop in its units that are climbed first
 WIDEST, NARROWEST, SAME = 0.1, 1e-4, 1e-7  # relative; of steps in frequency to a peak, and of the rise that is worth one
 SMALLEST = 1e-12  # bound; a loop that does not reach its errors has mu = 0
 MOST_PARTS, MOST_PEAKS = 2000, 60
@@ -159,7 +159,7 @@ class _Search:
         grid = self.structured.grid
         gains = Gain(self.structured.scaled(self.units)).at(grid)
         inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:])) + 1
-        return [0.0, *grid[inner[gains[inner].argsort()[-TRIED:]]].tolist()]
+        return [0.0, *grid[inner[gains[inner].argsort()[-REFINED_PEAKS:]]].tolist()]
 
     def climb(self, omega: float) -> tuple[float, float]:
         """Returns a local peak of the best scales near a frequency, and its frequency [rad/s]."""

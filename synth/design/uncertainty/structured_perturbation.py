@@ -21,7 +21,7 @@ from synth.plant.augmented import append
 from synth.plant.generalized import Plant
 from synth.plant.state_space import StateSpace
 
-ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
+EQUALITY_TOLERANCE = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
 STARTS, ITERATIONS = 12, 80
 SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies instead of 0 and infinity, where an error has no phase
 BEYOND = (
@@ -65,7 +65,7 @@ def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
         amount = (1 + beyond) / value
         errors = tuple(_all_pass(amount, float(angle), omega) for angle in np.angle(deltas))
         reached = _norm(closed_by_errors(structured, errors), structured)
-        if reached * amount >= 1 - ROUNDED:
+        if reached * amount >= 1 - EQUALITY_TOLERANCE:
             break
     return WorstErrors(min(1 / amount, reached), omega, errors)
 

@@ -32,7 +32,7 @@ from synth.plant.numerics import numerics
 
 ALL = 8  # free factors up to which every corner is looked at; of more, those that flips lead to
 BEGIN = 4  # corners at which flips begin beside the one that slopes lead to
-CLIMBED = 2  # of the highest points met, those from which the search inside begins
+REFINED_POINTS = 2  # of the highest points met, those from which the search inside begins
 TURNS = 30  # of one such search
 SEED = 20261122
 
@@ -95,10 +95,10 @@ def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
     if not (len(free) and np.isfinite(heights.highest)):
         return
     generator = np.random.default_rng(SEED)
-    inside = box.low + (box.high - box.low) * generator.random((2 * CLIMBED, len(box.low)))
+    inside = box.low + (box.high - box.low) * generator.random((2 * REFINED_POINTS, len(box.low)))
     values += [heights.norm(point) for point in inside]
     points = np.concatenate([points, inside])
-    for i in np.argsort(values)[-CLIMBED:][::-1]:
+    for i in np.argsort(values)[-REFINED_POINTS:][::-1]:
         _inside(heights, box, points[i])
 
 
@@ -235,7 +235,7 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> Proof | None:
     """Proves a bound on a box just above the largest norm found; stores larger norms found on the way."""
 
     def tried(above: float, parts: Parts, left: int) -> tuple[Parts | None, int]:
-        return _filled(heights, parts, lambda: heights.highest * (1 + above), left)
+        return _prove_parts(heights, parts, lambda: heights.highest * (1 + above), left)
 
     whole: Parts = [(box, None)]
     if (parts := tried(CLOSEST, whole, 1)[0]) is not None:
@@ -266,7 +266,7 @@ def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float, patience
     many = len(box.uncertain) > MANY
 
     def common() -> Proof | None:
-        parts, _ = _filled(heights, [(box, None)], lambda: bound, 1 if many else int(patience * _trials(heights)))
+        parts, _ = _prove_parts(heights, [(box, None)], lambda: bound, 1 if many else int(patience * _trials(heights)))
         return _proof(parts, bound) if parts is not None else None
 
     def multipliers() -> Proof | None:
@@ -288,7 +288,7 @@ def _proof(parts: Parts, bound: float) -> BoxProof:
     return BoxProof(eta_of(bound), [(part, X) for part, X in parts if X is not None])
 
 
-def _filled(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
+def _prove_parts(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
     """Parts with an X each that proves a bound; None if no such parts were found within the trials.
 
     Returns:

@@ -28,7 +28,7 @@ from synth.vehicle.designer import SharedDesignData
 
 SHORTEST = 1e-5  # s; a computer of 100 kHz is the fastest that is asked about
 TURN = 0.1  # rad that a mode turns by from one period that is tried to the next
-GONE = 25.0  # time constants, after which e^-25 is left of a mode
+TIME_CONSTANTS = 25.0  # time constants, after which e^-25 is left of a mode
 CLOSE = 1e-12  # relative, of two periods
 
 
@@ -50,7 +50,7 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
         return 0.0
     modes, before = _modes(vehicle, controller), SHORTEST
     while before < LONGEST_PERIOD:
-        alive = modes[-np.real(modes) * before < GONE]
+        alive = modes[-np.real(modes) * before < TIME_CONSTANTS]
         fastest = float(np.abs(alive).max(initial=1 / LONGEST_PERIOD))
         after = min(before + TURN / fastest / (1 + delay), LONGEST_PERIOD)
         if not kept(after):
@@ -102,7 +102,7 @@ class Cost:
             controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
         delay: delay of the late forces, in samples.
         rates: norms at the rates, ascending by period.
-        lost: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
+        unstable_period: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
         lost_late: shortest sample period at which the loop with late forces is not stable [s].
     """
 
@@ -111,7 +111,7 @@ class Cost:
     lower_bound: float | None
     delay: float
     rates: tuple[AtRate, ...]
-    lost: float
+    unstable_period: float
     lost_late: float
 
     @property
@@ -154,7 +154,7 @@ def cost(
             both.append(norm)
         prompt, late = both
         again = period in designs and _in_two_steps(vehicle, controller)
-        designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
+        designed, why = _norm_at_rate(vehicle, controller, period, near[0]) if again else (None, "")
         rates.append(AtRate(period, prompt, late, designed, why))
         done(i + 1)
     lost, lost_late = (smallest_unstable_period(vehicle, controller, samples) for samples in (0, delay))
@@ -164,7 +164,7 @@ def cost(
 def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
     """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
     built = replace(vehicle, implementation=Implementation(period, delay))
-    return sampled_norm(sampled_loop(built, controller.quiet), near)
+    return sampled_norm(sampled_loop(built, controller.without_noise), near)
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
@@ -174,7 +174,7 @@ def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
 
 
-def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
+def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
     """Returns the norm of a gain on the same measurements designed for a rate; without one None, and the reason."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)

@@ -16,7 +16,7 @@ from models.document.figure import Curve, Dash, Figure, Panel
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm
-from synth.controller.report import LOWER_BOUND, NORM, PROOF, SAMPLED, norm_failures
+from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROOF, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
 LITTLE = 1e-2  # relative: a rate that costs no more is cheap
@@ -37,8 +37,8 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
         Field[Cost]("controller", lambda one: one.controller.name),
         Field[Cost]("cheap [Hz]", lambda one: HERTZ.digits(1 / _cheap(one).period)),
         *(Field[Cost](name, lambda one, kind=KINDS[name]: _loss(one, kind, _cheap(one))) for name in kinds),
-        Field[Cost]("lost [Hz]", lambda one: _lost(one.lost)),
-        Field[Cost]("lost late", lambda one: _lost(one.lost_late)),
+        Field[Cost]("lost [Hz]", lambda one: _highest_unstable_rate(one.unstable_period)),
+        Field[Cost]("lost late", lambda one: _highest_unstable_rate(one.lost_late)),
     ]
     alone = [one.controller.name for one in costs if one.controller.preview is not None]
     texts = statements((name, "the norm is that of the feedback without the preview") for name in alone)
@@ -97,15 +97,15 @@ def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
     norm, loss = kind(at), _loss(one, kind, at)
     if norm is None or not norm.stable:
         return loss
-    return SAMPLED.cell(norm) + (f" ({loss})" if loss else "")
+    return NORM_AS_IMPLEMENTED.cell(norm) + (f" ({loss})" if loss else "")
 
 
-def _lost(period: float) -> str | None:
+def _highest_unstable_rate(period: float) -> str | None:
     """Returns the highest unstable rate: the fastest of all if no rate is stable, as a period of 0 means; None if all are."""
-    return None if math.isinf(period) else LOST.digits(1 / (period or SHORTEST))
+    return None if math.isinf(period) else UNSTABLE_RATE.digits(1 / (period or SHORTEST))
 
 
-LOST = Field[float]("rate", float, ".3g", unit="Hz")
+UNSTABLE_RATE = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:
@@ -177,7 +177,7 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
     ends = np.array([1e3 * one.rates[0].period, 1e3 * one.rates[-1].period])
     curves = []
     late = ("late", delay_text(one.delay), LATE, "dash", one.lost_late)
-    kinds: list[tuple[str, str, str, Dash, float]] = [("at once", "at once", PROMPT, "solid", one.lost), late]
+    kinds: list[tuple[str, str, str, Dash, float]] = [("at once", "at once", PROMPT, "solid", one.unstable_period), late]
     for kind, name, color, dash, lost in kinds:
         curves.append(Curve(*_norms(one.rates, KINDS[kind]), name, color, dash))
         curves.append(Curve(*_norms(marked, KINDS[kind]), "", color, "none", "o", name=f"{name}, requested"))
@@ -190,7 +190,7 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
         curves.append(Curve(ends, np.full(2, one.ideal), "in continuous time", "#808080", "dashdot", width=1.0))
     if one.lower_bound is not None:
         curves.append(Curve(ends, np.full(2, one.lower_bound), "lower bound of any controller", BEYOND, "dot", width=1.0))
-    low, high = _shown(one)
+    low, high = _shown_range(one)
     ticks = tuple(1e3 * period for period in periods) if len(periods) <= MOST_TICKS else ()
     room = 0.04 * (high - low) or 0.01 * high
     return Panel(
@@ -210,7 +210,7 @@ def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
     return np.array([1e3 * at.period for at in rates]), np.where(np.isfinite(norms), norms, np.nan)
 
 
-def _shown(one: Cost) -> tuple[float, float]:
+def _shown_range(one: Cost) -> tuple[float, float]:
     """The range that is shown."""
     norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.late) if norm.stable]
     known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, list_names, short_repr
 from models.laws.goals import EVERYWHERE, NormOf
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
@@ -20,7 +20,7 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.problem import GainErrors
 from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.numerics import numerics
-from synth.vehicle.multi_objective import weighing
+from synth.vehicle.multi_objective import with_outputs_of_norm
 
 BAND = (4.0, 8.0)  # Hz, where people feel it
 OFF = 0.1  # of a reading
@@ -65,14 +65,14 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
-            f"--front {quoted(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
-            f"{listing(AXES)}, separated by colons, such as ride:travel"
+            f"--front {short_repr(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
+            f"{list_names(AXES)}, separated by colons, such as ride:travel"
         )
     axes: list[FrontAxis] = []
     for part in parts:
         name, equals, given = part.partition("=")
         if name not in AXES:
-            raise InputError(f"--front: there is no axis {quoted(name)}; give two or three of {listing(AXES)}")
+            raise InputError(f"--front: there is no axis {short_repr(name)}; give two or three of {list_names(AXES)}")
         if any(axis.name == name for axis in axes):
             raise InputError(f"--front names {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
@@ -88,10 +88,14 @@ def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
     if name == "force":
         signals, of, unit = dict.fromkeys(vehicle.linear_model.inputs, 1.0), "control force", "N per m/s"
     elif name in DEFLECTIONS:
-        signals, of, unit = _called(vehicle, name, DEFLECTIONS[name]), DEFLECTIONS[name].replace("_", " "), "m per m/s"
+        signals, of, unit = (
+            _signals_with_prefix(vehicle, name, DEFLECTIONS[name]),
+            DEFLECTIONS[name].replace("_", " "),
+            "m per m/s",
+        )
     else:
         signals = _accelerations(vehicle, name)
-        of, unit = _weighed(signals), _unit(vehicle, signals)
+        of, unit = _weight_text(signals), _unit(vehicle, signals)
     text, band = f"norm from the road's velocity to {of}", EVERYWHERE
     if name == "band":
         band = BAND if given is None else _edges(given)
@@ -134,7 +138,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
     return weights
 
 
-def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
+def _signals_with_prefix(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
@@ -142,7 +146,7 @@ def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     return weights
 
 
-def _weighed(signals: Mapping[str, float]) -> str:
+def _weight_text(signals: Mapping[str, float]) -> str:
     names = {name: name.replace("_", " ") for name in signals}
     return ", ".join(names[name] if weight == 1 else f"{weight:g} x {names[name]}" for name, weight in signals.items())
 
@@ -174,19 +178,19 @@ class AxisValue:
 @numerics()
 def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
     """A law on an axis; infinite where its loop, or one with errors, is unstable."""
-    posed = _posed(vehicle, axis, entry)
+    problem = _axis_problem(vehicle, axis, entry)
     if axis.off and len(entry.measured):
-        worst = worst_norm(posed.plant, None, law, axis.off)
+        worst = worst_norm(problem.plant, None, law, axis.off)
         return AxisValue(worst.found, worst.proved, float("nan"))
-    plant, G = posed.closed_loop(law)
+    plant, G = problem.closed_loop(law)
     band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
     if not band.stability.stable:
         return AxisValue(np.inf, np.inf, float("nan"))
     return AxisValue(band.value, band.level if band.value else 0.0, band.peak_frequency)
 
 
-def _posed(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> Problem:
-    return problem(weighing(vehicle, axis.norm), entry.measured, entry.hardware)
+def _axis_problem(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> Problem:
+    return problem(with_outputs_of_norm(vehicle, axis.norm), entry.measured, entry.hardware)
 
 
 def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
@@ -195,7 +199,7 @@ def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: 
     Raises:
         InputError: the errors have too many vertices.
     """
-    plant, (m, q) = _posed(vehicle, axis, entry).plant, like.shape
+    plant, (m, q) = _axis_problem(vehicle, axis, entry).plant, like.shape
     off = (GainErrors(errors, np.zeros(m)).on(plant) for errors in _corners(axis, q))
     return [BandLandscape(each, axis.norm.rates, like) for each in off]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from synth.design.descent.minimax import KEPT, MinimaxProblem, descend
+from synth.design.descent.minimax import BOUND_TOLERANCE, MinimaxProblem, descend
 from synth.design.descent.starts import survey
 from synth.design.descent.terms import NormTerm
 from synth.design.multi_objective.band_norm import BandLandscape
@@ -21,7 +21,7 @@ from synth.plant.numerics import DesignError
 GROWTH = 5.0  # times the largest entry of the first start: how far gains go where no bound of theirs says
 NEARLY = 1e-3  # relative: how far beyond the least of an axis its end lies, for what that buys on the others
 TIGHTER = 1e-7  # and how much closer that is drawn, for rounding
-SETTLED = 1e-7  # relative: a step that promises less ends a descent
+SETTLED_STEP = 1e-7  # relative: a step that promises less ends a descent
 ROUNDS = 60
 TIMES = 6  # descents to an end, each from where the last one ended
 NOTHING = 1e-9  # of an axis' norm elsewhere: what is less is zero
@@ -73,10 +73,10 @@ class FrontContinuation:
                 self.evaluate(search.stabilised(x))
         if not self.met:
             raise DesignError(UNSTABLE)
-        if min(each.excess for each in self.met) > KEPT:
+        if min(each.excess for each in self.met) > BOUND_TOLERANCE:
             x, _ = search.restore_feasibility(min(self.met, key=lambda each: each.excess).x)
             self.evaluate(x)
-            if self.met[-1].excess > KEPT:
+            if self.met[-1].excess > BOUND_TOLERANCE:
                 raise DesignError(search.explain_infeasibility(x))
 
     def evaluate(self, x: Array) -> EvaluatedGain | None:
@@ -104,22 +104,22 @@ class FrontContinuation:
 
     def _end(self, k: int) -> EvaluatedGain:
         """Returns the end of the front on an axis."""
-        start = min((each for each in self.met if each.excess <= KEPT), key=lambda each: float(each.values[k]))
+        start = min((each for each in self.met if each.excess <= BOUND_TOLERANCE), key=lambda each: float(each.values[k]))
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
                 return start
             end = self._descend(start, {k: 1.0}, {})
             done = end.values[k] > start.values[k] * (1 - 1e-5)
-            start = min(start, end, key=lambda each: (each.excess > KEPT, float(each.values[k])))
+            start = min(start, end, key=lambda each: (each.excess > BOUND_TOLERANCE, float(each.values[k])))
             if done:
                 break
         most = float(start.values[k]) * (1 + NEARLY)
-        inside = [each for each in self.met if each.excess <= KEPT and each.values[k] <= most]
+        inside = [each for each in self.met if each.excess <= BOUND_TOLERANCE and each.values[k] <= most]
         others = {j: float(start.values[j]) for j in range(len(self.axes)) if j != k}
         start = min(inside, key=lambda each: max(each.values[j] / unit for j, unit in others.items()))
         for _ in range(TIMES):
             end = self._descend(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
-            if end.values[k] > most or end.excess > KEPT:
+            if end.values[k] > most or end.excess > BOUND_TOLERANCE:
                 break
             done = all(end.values[j] > start.values[j] * (1 - 1e-5) for j in others)
             start = end
@@ -133,7 +133,7 @@ class FrontContinuation:
         bounding = [NormTerm(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         minimax = self.search.minimax
         ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *bounding], minimax.limit)
-        x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
+        x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED_STEP)
         return self.evaluate(x) or start
 
 
@@ -165,7 +165,7 @@ def _sides(count: int) -> int:
     return max(1, round((np.sqrt(8 * count + 1) - 3) / 2))
 
 
-def undominated(values: Array) -> Array:
+def undominated_rows(values: Array) -> Array:
     """Returns a mask of the undominated rows of shape (N, K), and the first of equal ones, shape (N,)."""
     if not len(values):
         return np.zeros(0, dtype=bool)

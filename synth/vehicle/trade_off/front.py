@@ -24,15 +24,15 @@ from synth.design.two_step import two_step_design
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 from synth.vehicle.designer import Designer
-from synth.vehicle.multi_objective import goal_problem, weighing
+from synth.vehicle.multi_objective import goal_problem, with_outputs_of_norm
 from synth.vehicle.trade_off.axes import AxisValue, FrontAxis, landscapes, norm_on
-from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuation, rays, undominated
+from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuation, rays, undominated_rows
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits
 from synth.vehicle.verification import Verification
 
 DESIGNS = 200
 SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
-MARKED = 9  # points that stand for all
+MARKED_POINTS = 9  # points that stand for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Front:
         others: other controllers of the vehicle file.
         missing: controllers that are omitted, each with the reason.
         limits: lower-bound curves of every two axes.
-        tried: number of designs tried.
+        design_count: number of designs tried.
         unproved: controllers of `missing` that are omitted because a claim fails.
     """
 
@@ -78,7 +78,7 @@ class Front:
     others: tuple[Point, ...]
     missing: dict[str, str]
     limits: tuple[LowerBoundCurve, ...]
-    tried: int
+    design_count: int
     unproved: int
 
     @property
@@ -89,7 +89,7 @@ class Front:
     @property
     def marked(self) -> list[int]:
         """The points that stand for all, by index."""
-        return marked(len(self.points))
+        return marked_indices(len(self.points))
 
 
 @numerics()
@@ -115,19 +115,19 @@ def front(
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
-    goals, posed = entry.goals, problem(vehicle, entry.measured, entry.hardware)
+    goals, plant_problem = entry.goals, problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
     asked, swept = goal_problem(vehicle, entry, goals or Goals()), list[EvaluatedGain]()
     for i, unit in enumerate(rays(trace.ends(), count)):
         swept.append(trace.step_along(unit))
         on_progress(i + 1)
     kept = [each for each in swept if each.excess <= 1e-9]
-    kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
+    kept = [each for each, best in zip(kept, undominated_rows(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
     for each in kept:
         law = static_law(trace.gain(each))
-        certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
+        certificate = certify_tightly(*plant_problem.closed_loop(law), below, plant_without_law=plant_problem.plant)
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
         promises = () if goals is None else Verification(vehicle, entry, goals, asked, law.D).promises()
         controller = Controller.of(entry, law, certificate, specifications=promises)
@@ -135,7 +135,7 @@ def front(
             points.append(Point(controller, norms))
         else:
             unproved += 1
-    best = undominated(np.array([point.values for point in points]))
+    best = undominated_rows(np.array([point.values for point in points]))
     first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
     found = dict(_others(designer, axes, others, entry.hardware.loads))
     shown = tuple(one for one in found.values() if isinstance(one, Point))
@@ -173,25 +173,29 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
         return
     bounds = tuple(PeakBound(signal, np.inf) for signal in signals)
     driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven_by
-    for i in marked(len(points)):
+    for i in marked_indices(len(points)):
         yield i, max(peak_over_road(one, points[i].controller.gain).value for one in driven)
 
 
-def marked(count: int) -> list[int]:
+def marked_indices(count: int) -> list[int]:
     """Returns the indices of representative points, evenly from the first to the last."""
-    return sorted({round(i) for i in np.linspace(0, count - 1, MARKED)}) if count else []
+    return sorted({round(i) for i in np.linspace(0, count - 1, MARKED_POINTS)}) if count else []
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
     """Returns the continuation that searches the designs."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
-    posed, starts = problem.members[0].posed[0], []
+    plant_problem, starts = problem.members[0].posed[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one
-        starts.append(posed.on_readings(two_step_design(posed).gain))
+        starts.append(plant_problem.on_readings(two_step_design(plant_problem).gain))
     if problem.decay is None and starts:
-        decay = -float(np.real(stability(posed.A + posed.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
+        decay = -float(
+            np.real(
+                stability(plant_problem.A + plant_problem.B @ plant_problem.acting(starts[-1]) @ plant_problem.Cy).poles
+            ).max()
+        )
         problem = replace(problem, decay=SLOWER * decay if decay > 0 else None)
     search = MinimaxSearch(problem, quiet)
     return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
@@ -219,6 +223,6 @@ def _limits(
     vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]
 ) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
-    plants: list[Plant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
+    plants: list[Plant] = [generalized_plant(with_outputs_of_norm(vehicle, axis.norm), loads=loads) for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, [axis.norm.rates for axis in axes], np.where(units > 0, units, 1.0))

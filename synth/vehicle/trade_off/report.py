@@ -16,7 +16,7 @@ from models.document.reading import write_rows
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines, line_notes
 from synth.vehicle.trade_off.axes import AxisValue, FrontAxis
-from synth.vehicle.trade_off.front import MARKED, Front, Point
+from synth.vehicle.trade_off.front import MARKED_POINTS, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Field[Point]("bump travel", lambda point: point.travel, ".4g", 1e3, "bump_travel", "mm")
@@ -30,7 +30,7 @@ NUMBERS: tuple[Field[Point], ...] = (
 Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and gain
 
 
-def describe(front: Front, measured: Array | None = None, most: int = MARKED) -> Document:
+def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
     """Returns the front as a document: what it spans, whom it beats, some of its points, and how near they are to the limits.
 
     Args:
@@ -184,7 +184,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     i, j = limit.axes
     values = front.values[:, [i, j]]
     others = {one.controller.name: (one.values[i], one.values[j]) for one in front.others}
-    ranges, beyond = _shown(values, np.array(list(others.values())).reshape(-1, 2))
+    ranges, beyond = _shown_range(values, np.array(list(others.values())).reshape(-1, 2))
     x, y = values.T
     dots = Curve(x, y, "designs on the front", DESIGNS, "none", "+", name="design")
     joined = Curve(x, y, "designs on the front", DESIGNS, "solid", "", 2.2)
@@ -225,7 +225,7 @@ def _together(
     return groups
 
 
-def _shown(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
+def _shown_range(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
     """The range of both axes, and which of the other controllers lie beyond it, shape (N,)."""
     low, high = values.min(axis=0), values.max(axis=0)
     size = np.where(high > low, high - low, np.where(high > 0, high, 1.0))

@@ -20,7 +20,7 @@ from sim.studies.ride.metrics import (
     PITCH,
     ROLL,
     ROOT_MEAN_SQUARE,
-    RUNNING,
+    RUNNING_TIME_CONSTANT,
     Column,
     Expectation,
     Meter,
@@ -152,7 +152,7 @@ class RmsAcceleration(RootMeanSquare, Acceleration):
         return random.rms(random.signal(self.source))
 
 
-class Weighted(RootMeanSquare, Acceleration):
+class WeightedRms(RootMeanSquare, Acceleration):
     """Weighted rms (6.1): root mean square of a_w."""
 
     what, headline = "weighted", "ride"
@@ -200,7 +200,7 @@ class TransientVibration(Acceleration):
         return np.sqrt(totals.largest)
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        return random.weighted(self.source).largest_running(random.window, RUNNING), None
+        return random.weighted(self.source).largest_running(random.window, RUNNING_TIME_CONSTANT), None
 
 
 class Crest(Acceleration):
@@ -354,7 +354,7 @@ class Work(Force):
 
     @classmethod
     def sources(cls, vehicle: Vehicle) -> Sequence[str]:
-        return [force for force in super().sources(vehicle) if vehicle.kind.pushed(force)]
+        return [force for force in super().sources(vehicle) if vehicle.kind.deflection_of(force)]
 
 
 class ControlPower(Work):
