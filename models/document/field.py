@@ -109,17 +109,17 @@ class Record(Generic[T]):
         self._parts = [*keyed, values]
 
     def __call__(self, one: T) -> dict[str, Any]:
-        """Returns the object of a result, without the keys whose value is `OMITTED`."""
+        """Returns the object of a result, without the keys whose value is `OMITTED_KEY`."""
         found: dict[str, Any] = {}
         for part in self._parts:
             found |= part(one) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
-        return {key: plain(value) for key, value in found.items() if value is not OMITTED}
+        return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
         """Returns a value of another record: the object of a result there, or all objects in its list, tuple or mapping."""
 
         def each(results: Any) -> Any:
-            if results is None or results is OMITTED:
+            if results is None or results is OMITTED_KEY:
                 return results
             if isinstance(results, Mapping):
                 return {key: self(one) if one and not isinstance(one, Mapping) else each(one) for key, one in results.items()}
@@ -128,7 +128,7 @@ class Record(Generic[T]):
         return lambda one: each(_value(get, one))
 
 
-OMITTED: Any = object()
+OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
@@ -136,7 +136,7 @@ def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
 
     def value(one: T) -> Any:
         found = get(one)
-        return found if found is not None and (not isinstance(found, Collection) or len(found)) else OMITTED
+        return found if found is not None and (not isinstance(found, Collection) or len(found)) else OMITTED_KEY
 
     return value
 

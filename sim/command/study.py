@@ -48,7 +48,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     stage = Stages(*["designs"] * bool(one.takes), *one.stages, "picture and logs")
     if one.takes:
         stage("designs")
-        request = replace(request, controllers=_designed(request, several))
+        request = replace(request, controllers=_designed_controllers(request, several))
         one.check_controllers(request)
         warn_invalid_certificates(request.controllers)
     result, driven = one.run(request, stage), [each.name for each in request.controllers]
@@ -81,7 +81,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     return 0 if one.holds(result) and len(driven) == len(request.names) else 1
 
 
-def _designed(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
+def _designed_controllers(request: StudyRequest, several: bool) -> "Sequence[AnyController]":
     """Returns the requested controllers: several of any kind, or the single one of a study that needs a linear law."""
     from sim.command.comparison import controllers_of, runnable
     from synth.vehicle.designer import Designer

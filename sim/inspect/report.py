@@ -17,7 +17,7 @@ from sim.recording.run_log import MUJOCO, SAMPLED
 from sim.runs.report import RUN, controller_record, verdict
 from sim.runs.signal_table import run_columns, write_columns
 
-INSPECTED = Record[InspectedRun](
+INSPECTION_RECORD = Record[InspectedRun](
     name="recorded.name",
     samples=lambda one: max((len(response.times) for response in one.recorded.responses.values()), default=0),
     findings="findings",
@@ -34,7 +34,7 @@ RECORD = Record[Proof](
     timestep="log.timestep",
     versions="log.versions",
     findings="findings",
-    runs=INSPECTED.all("runs"),
+    runs=INSPECTION_RECORD.all("runs"),
 )
 
 

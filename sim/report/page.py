@@ -53,7 +53,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     for (name, subject), result in answers().items():
         results[name][subject] = result
     over_roads = [one for _, standings in results.get("ride", {}).values() for one in standings] if scope.own_road is None else []
-    compared, when = _compared(scope, over_roads), measured_words(scope.time, scope.samples)
+    compared, when = _compare_controllers(scope, over_roads), measured_words(scope.time, scope.samples)
     ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
     sections = [trust_section(scope, runs, ends, scope.disagreeing)]
     sections += [section for name in STUDIES for section in study(name).sections(scope, results)]
@@ -81,7 +81,7 @@ def stages(scope: Subject) -> tuple[str, ...]:
     return RUNS, *dict.fromkeys(name for name, _ in reversed(requests_of(scope)))
 
 
-def _compared(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
+def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
     """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
 
     A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.

@@ -15,7 +15,7 @@ import numpy as np
 from models.common.extensions import FEATURES
 from models.common.printed import as_name, entry, percent
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import OMITTED, Detail, Field, Record, if_any
+from models.document.field import OMITTED_KEY, Detail, Field, Record, if_any
 from models.kinds.at_wheels import ratio_notes
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import Vehicle
@@ -124,7 +124,7 @@ SIGNAL = Record[tuple[RunResult, str]](
     error=Record(
         sampled=lambda of: of[0].agreement.signals[of[1]].sampled,
         continuous=lambda of: of[0].agreement.signals[of[1]].continuous,
-        linearisation=lambda of: of[0].line_errors.get(of[1], OMITTED),
+        linearisation=lambda of: of[0].line_errors.get(of[1], OMITTED_KEY),
     ),
 )
 
@@ -148,19 +148,19 @@ RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infini
             steps=_local_check("agreement.steps", "error", "allowed", "since", "until"),
             commands=_local_check("agreement.commands", "repeatable", "error", "allowed", "since"),
             cause="agreement.cause",
-            reference=lambda run: run.prediction.reference if run.prediction.linearised else OMITTED,
-            linearisation=lambda run: _worst_line(run) if run.prediction.linearised else OMITTED,
-            stops=lambda run: FEATURES.load("stops that a run reaches").STOPS(run) if run.vehicle.limits.stopped else OMITTED,
+            reference=lambda run: run.prediction.reference if run.prediction.linearised else OMITTED_KEY,
+            linearisation=lambda run: _worst_line(run) if run.prediction.linearised else OMITTED_KEY,
+            stops=lambda run: FEATURES.load("stops that a run reaches").STOPS(run) if run.vehicle.limits.stopped else OMITTED_KEY,
             dampers=if_any(_shortfall),
         ),
         _decay,
         code_difference=lambda run: (
             FEATURES.load("effect of exported code").DIFFERENCES(run.prediction.code_effect)
             if run.prediction.code_effect
-            else OMITTED
+            else OMITTED_KEY
         ),
-        margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED,
-        energy=BALANCE.all(lambda run: run.energy or OMITTED),
+        margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED_KEY,
+        energy=BALANCE.all(lambda run: run.energy or OMITTED_KEY),
     )
 )
 

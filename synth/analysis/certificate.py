@@ -444,9 +444,9 @@ class LaterBound:
         return getattr(self._proved, name)
 
     def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[Any]]:
-        return proved, (self._proved,)
+        return return_bound, (self._proved,)
 
 
-def proved(bound: Any) -> Any:
+def return_bound(bound: Any) -> Any:
     """Returns a bound itself."""
     return bound

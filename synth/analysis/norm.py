@@ -26,7 +26,7 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.common.threads import one_thread
 from synth.analysis.stability import balance, stability, stability_of_balanced
-from synth.plant.double_double import LEFT, MOST_TURNS, exact_product, exact_sum, product
+from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
 ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
@@ -99,7 +99,7 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
         out = out + lost + C @ low + C_low @ high
         before, T = T, out[..., :r] + 1j * out[..., r:] + system.Dw
         moved = np.abs(T - before).max(axis=(1, 2), initial=0.0)
-        if np.all(moved <= LEFT * np.abs(T).max(axis=(1, 2), initial=0.0)):
+        if np.all(moved <= CONVERGED_CHANGE * np.abs(T).max(axis=(1, 2), initial=0.0)):
             break
     return T, moved
 

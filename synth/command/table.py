@@ -11,7 +11,7 @@ import numpy as np
 from models.common.errors import list_names
 from models.common.printed import WIDTH, as_name, percent
 from models.document.document import Block, Document, Statement, Table, notes, statements
-from models.document.field import OMITTED, Field, Record, if_any
+from models.document.field import OMITTED_KEY, Field, Record, if_any
 from models.laws.linear import FEWER, gain_text
 from models.vehicle.controllers import NOMINAL
 from models.vehicle.names import without_copies
@@ -364,18 +364,18 @@ LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EI
 CLAIMS = Record[Certificate](
     Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
 )
-DESIGNED = Record[Row](
+DESIGN_RECORD = Record[Row](
     Record("name", measured="controller.measured"),
     lambda row: row.controller.law.record,
     lambda row: _hardware(row.controller),
-    Record(designed="controller.designed", design=lambda row: "sampled" if row.controller.sampled else OMITTED),
+    Record(designed="controller.designed", design=lambda row: "sampled" if row.controller.sampled else OMITTED_KEY),
     *(one.of(CERTIFICATE) for one in (BOUND, NORM)),
     lambda row: PROVED_NORM(row.sampled) if row.sampled is not None else {},
     lambda row: {SAMPLED_BOUND: row.sampled_below.level, "sampled_gap": row.sampled_gap} if row.sampled_below is not None else {},
     lambda row: CLAIMS(row.certificate),
     Record(expected_ride="ride", stability="certificate.stability.verdict"),
     lambda row: GROWTH(row.controller),
-    margins=lambda row: row.margins.record if row.margins is not None else OMITTED,
+    margins=lambda row: row.margins.record if row.margins is not None else OMITTED_KEY,
     lmi=LMI.all("certificate.proof"),
     certificate=lambda row: to_record(row.certificate) | norm_record(row.sampled) | bound_record(row.sampled_below),
     notes=lambda row: [*row.notes, *row.certificate.remarks],
@@ -383,10 +383,10 @@ DESIGNED = Record[Row](
     refine_lowers_by_at_least=lambda row: row.worth or None,
     promises=if_any(lambda row: [promise.record for promise in row.controller.specifications]),
     cross_check=lambda row: row.witness.record if row.witness is not None else None,
-    fragility=lambda row: row.fragile.record if row.fragile is not None else OMITTED,
+    fragility=lambda row: row.fragile.record if row.fragile is not None else OMITTED_KEY,
 )
 
 
 def record(row: Row) -> dict[str, Any]:
     """Returns a row as a JSON object in SI units: a design, or the reason why the design failed."""
-    return DESIGNED(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}
+    return DESIGN_RECORD(row) if row.controller is not None else {"name": row.name, "reason": "; ".join(row.failures)}

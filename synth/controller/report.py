@@ -10,7 +10,7 @@ from models import USUAL_TIMESTEP
 from models.common.errors import InputError, list_names
 from models.common.extensions import FEATURES
 from models.common.printed import NORM_DIGITS, as_name, percent, rough
-from models.document.field import OMITTED, Field, Record
+from models.document.field import OMITTED_KEY, Field, Record
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw, gain_text
 from models.vehicle.controllers import NOMINAL
@@ -241,7 +241,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     return notes
 
 
-GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED)  # [1/s], of a law that is unstable by itself
+GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)  # [1/s], of a law that is unstable by itself
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:

@@ -19,7 +19,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from synth.plant.double_double import LEFT, MOST_TURNS, exact_product, exact_sum, product
+from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
 LEAST_SINGULAR_VALUE = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
@@ -168,6 +168,6 @@ def response_closely(system: Plant, t: float) -> tuple[Array, float]:
             parts.append(out + (lost + system.C @ least + beyond[n:] @ x))
         before, T = T, parts[0] + 1j * parts[1] + system.Dw
         moved = float(np.abs(T - before).max(initial=0.0))
-        if moved <= LEFT * np.abs(T).max(initial=0.0):
+        if moved <= CONVERGED_CHANGE * np.abs(T).max(initial=0.0):
             break
     return T, moved

@@ -10,7 +10,7 @@ from models.common.arrays import Array
 
 SPLIT = 2.0**27 + 1  # halves a float: each half has 26 bits, so that products of halves are exact
 
-LEFT = 1e-14  # relative; an iteration that moves by less has converged
+CONVERGED_CHANGE = 1e-14  # relative; an iteration that moves by less has converged
 MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 

@@ -19,9 +19,9 @@ from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.sampled_response import taylor4
-from sim.report import ride
 from sim.runs.by_name import run
 from sim.runs.run import sample_times
+from sim.studies.ride import over_roads as ride
 from synth.vehicle.designer import Designer
 from tests.support import pages
 from tests.support.analysed import sampled_response, simulate

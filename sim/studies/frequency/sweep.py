@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.printed import digits
-from models.document.field import OMITTED, Field, Record
+from models.document.field import OMITTED_KEY, Field, Record
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
@@ -197,7 +197,7 @@ RECORD = Record[Sweep](
         peak_frequency="extremes.worst.omega",
         continuous="controller.certificate.norm.value",
     ),
-    sampled_norm=lambda one: OMITTED if one.sampled is None else one.sampled.value,
+    sampled_norm=lambda one: OMITTED_KEY if one.sampled is None else one.sampled.value,
     minimum_load=lambda one: eusama.RECORD(one.loads),
     gains="gains",
     ended="ended",

@@ -146,7 +146,7 @@ def _panel(name: str, unit: str, curves: Sequence[Curve], symbol: str = "") -> P
     return Panel(f"{words}{symbol}", "time [s]", f"{words} [{unit}]", tuple(curves))
 
 
-BRAKING = "braking"  # subject of the dives
+BRAKING_SUBJECT = "braking"  # subject of the dives
 
 
 class LoadsStudy(Study[Any]):
@@ -163,14 +163,14 @@ class LoadsStudy(Study[Any]):
     def requests(self, scope: Subject) -> Mapping[str, tuple[str, Subject]]:
         """See `Study`."""
         some = bool(scope.stable or scope.laws)
-        wanted = {"": bool(scope.loads), BRAKING: _dive(scope.vehicle) is not None}
+        wanted = {"": bool(scope.loads), BRAKING_SUBJECT: _dive(scope.vehicle) is not None}
         return {name: (name, scope) for name, one in wanted.items() if one and some}
 
     def run(self, request: tuple[str, Subject], progress: Progress) -> Document | dict[str, float]:
         """Returns the section, or the dives."""
         name, scope = request
-        return dives(scope) if name == BRAKING else loads_section(scope)
+        return dives(scope) if name == BRAKING_SUBJECT else loads_section(scope)
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
-        return [one for name, one in results[self.name].items() if name != BRAKING]
+        return [one for name, one in results[self.name].items() if name != BRAKING_SUBJECT]

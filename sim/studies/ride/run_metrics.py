@@ -12,7 +12,7 @@ from models.common.checks import Index
 from models.common.errors import InputError
 from models.common.printed import as_name, percent, rough
 from models.document.document import Document, Table, notes
-from models.document.field import OMITTED, Detail, Field, Record
+from models.document.field import OMITTED_KEY, Detail, Field, Record
 from models.document.text import ShownResult, facts
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
@@ -367,6 +367,6 @@ def record(run: Run, metrics: RunMetrics) -> dict[str, Any]:
         settled="settled",
         expected_error="error",
         metrics=OF_METRIC.all("metrics"),
-        expected_line=lambda _: of_line(run.vehicle, line) if line is not None and line.rounds else OMITTED,
-        static_angles=lambda of: OMITTED if of.static is None else of.static,
+        expected_line=lambda _: of_line(run.vehicle, line) if line is not None and line.rounds else OMITTED_KEY,
+        static_angles=lambda of: OMITTED_KEY if of.static is None else of.static,
     )(metrics)

@@ -148,7 +148,7 @@ RECORD = Record[Cost](
 POINTS = 60  # of a curve
 HIGHEST = 1.5  # times the continuous norm: a loop that is nearly lost has no other end
 MOST_TICKS = 9
-PROMPT, LATE, DESIGNED, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
+PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
@@ -185,7 +185,7 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
             curves.append(Curve(np.full(2, 1e3 * lost), np.array([0.0, 1e6]), "", color, "dot", width=0.8))
     designs = np.array([(1e3 * at.period, at.designed.value) for at in marked if at.designed is not None and at.designed.stable])
     if len(designs):
-        curves.append(Curve(designs[:, 0], designs[:, 1], "designed for the rate", DESIGNED, "none", "+"))
+        curves.append(Curve(designs[:, 0], designs[:, 1], "designed for the rate", DESIGNED_COLOUR, "none", "+"))
     if math.isfinite(one.ideal):
         curves.append(Curve(ends, np.full(2, one.ideal), "in continuous time", "#808080", "dashdot", width=1.0))
     if one.lower_bound is not None:
