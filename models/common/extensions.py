@@ -18,7 +18,7 @@ class Registry(dict[str, str]):
 
     Attributes:
         sort: noun for one of these extensions, for messages.
-        texts: what else their rows have, for help pages.
+        texts: further texts of their rows, for help pages.
     """
 
     def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]]) -> None:

@@ -99,8 +99,8 @@ class Record(Generic[T]):
         """Prepares the object.
 
         Args:
-            parts: fields with their own keys, which omits those without one; names of attributes, which are keys, too; and other
-                records, or functions, whose keys it has.
+            parts: fields, without those that lack a key; names of attributes, which are also keys; and records or functions,
+                whose keys become keys of this object.
             values: further values, after these: fields, functions, or attributes by their names, as in "certificate.norm".
         """
         keyed = [

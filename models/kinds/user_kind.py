@@ -133,7 +133,9 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven
     forces = {suspension.force for suspension in kind.suspended or () if suspension.force}
     if model.tyres_damp:
-        raise InputError("linear_model returns Bt or Dw for tyre damping; omit both, as only built-in vehicle types have it")
+        raise InputError(
+            "linear_model returns Bt or Dw for tyre damping; omit both: only built-in vehicle types have tyre damping"
+        )
     for what, given, wanted in (
         ("disturbances", model.disturbances, roads),
         ("loads", model.loads, tuple(load.name for load in kind.loads)),

@@ -1,8 +1,8 @@
 """Anti-windup of a linear law: its states follow the forces that are given, where these are not the requested ones.
 
 A law as a computer runs it is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Its next states get L (clip(u[i]) - u[i])
-on top: back-calculation (Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). While nothing is clipped that is zero,
-to the last bit. While all is clipped the states go by A - L C, whatever A is.
+on top: back-calculation (Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). While nothing is clipped, this
+term is exactly zero. While all forces are clipped, the states go by A - L C, whatever A is.
 
 With L all of these decay by exp(-rate T) or faster in a sample of T seconds. Poles within that circle stay where they are.
 Slower ones are mirrored at it: an integrator then decays at twice the rate. L is the gain of a Kalman filter of that degree of

@@ -45,9 +45,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     outputs = {key: getattr(options, key) for key in ("csv", "picture") if hasattr(options, key)}
     logs, files = {"logs": options.logs} if hasattr(options, "logs") else {}, given.files if given is not None else ()
     check_outputs(outputs | logs, [*files, *named_files(getattr(options, "loads", ()))], options.json)
-    stage = Stages(*["designs"] * bool(one.takes), *one.stages, "picture and logs")
+    stage = Stages(*["designs" if several else "design"] * bool(one.takes), *one.stages, "picture and logs")
     if one.takes:
-        stage("designs")
+        stage("designs" if several else "design")
         request = replace(request, controllers=_designed_controllers(request, several))
         one.check_controllers(request)
         warn_invalid_certificates(request.controllers)

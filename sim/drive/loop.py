@@ -80,8 +80,9 @@ class Block:
 
     @property
     def law_diverged(self) -> Array:
-        """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,): they overflowed,
-        and every physical signal was still within `DIVERGENCE_LIMIT`.
+        """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,).
+
+        These states overflowed while each physical signal was still within `DIVERGENCE_LIMIT`.
         """
         wild, runs = self._beyond_limits, np.arange(self.largest.shape[1])
         return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGENCE_LIMIT)

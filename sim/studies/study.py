@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class StudyRequest:
-    """What a study is run for.
+    """Task of a study.
 
     Attributes:
         options: values of the study's options, by name.

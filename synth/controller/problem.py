@@ -50,8 +50,8 @@ class ClosedLoop:
         plant_without_law: the plant without the law's states.
         states: names of its states.
         law_states: number of the law's states behind them.
-        with_road_heights: the closed loop with the heights of the roads as its last states, if a lasting height shows in z: the
-            loop then has no finite norm. None for others.
+        with_road_heights: the closed loop with the heights of the roads as its last states, if a lasting height shows in z.
+            Such a loop has no finite norm. None for others.
         unbounded_outputs: entries of z in which a lasting height shows.
     """
 

@@ -146,7 +146,7 @@ def check_loop(vehicle: "Vehicle", built: "Vehicle", controller: "Controller", t
     times = loop_of(vehicle, controller).direct_radius
     if times >= 1:
         raise InputError(
-            f"{name} tolerates neither delay nor sampling: its measurements immediately contain {times:.4g} times its own force, "
+            f"{name} tolerates neither delay nor sampling: its measurements contain {times:.4g} times its own force, "
             "which grows from sample to sample; lower the gain on accelerations, or filter the accelerations"
         )
     growth = radius(loop_of(vehicle, controller, timestep, taylor4))
