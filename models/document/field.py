@@ -106,13 +106,13 @@ class Record(Generic[T]):
         keyed = [
             {part.key: part} if isinstance(part, Field) else {part: part} if isinstance(part, str) else part for part in parts
         ]
-        self._parts = [*keyed, values]
+        self._parts: list[Callable[[T], Mapping[str, Any]] | Mapping[str, Any]] = [*keyed, values]
 
     def __call__(self, one: T) -> dict[str, Any]:
         """Returns the object of a result, without the keys whose value is `OMITTED_KEY`."""
         found: dict[str, Any] = {}
         for part in self._parts:
-            found |= part(one) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
+            found |= dict(part(one)) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
@@ -153,7 +153,8 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
-    return plain(value.tolist()) if hasattr(value, "tolist") else value
+    values = getattr(value, "tolist", None)  # of an array, or of a number of NumPy
+    return value if values is None else plain(values())
 
 
 def at_most(value: float) -> str:

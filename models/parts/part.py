@@ -320,7 +320,8 @@ class SuspensionPart:
     def surface(self) -> "ForceSurface | None":
         """The curve of a damper over velocity and deflection; None if it depends on one of them."""
 
-        return self.part.curve if isinstance(self.part.curve, FEATURES.load("surfaces").ForceSurface) else None
+        curve: Any = self.part.curve
+        return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None
 
 
 def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":

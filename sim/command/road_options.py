@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser
@@ -174,7 +174,7 @@ def gaps(road: "Road", duration: float) -> list[str]:
     from models.roads.road import Departure
 
     felt = road.from_start
-    profile = felt.road if isinstance(felt, Departure) else None
+    profile: Any = felt.road if isinstance(felt, Departure) else None
     return (
         [f"remark: {remark}"]
         if isinstance(profile, FEATURES.load("measured roads").Profile) and (remark := profile.remark(road.speed * duration))

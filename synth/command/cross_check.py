@@ -31,7 +31,7 @@ class CrossCheck:
         optimum_gap: relative distance of our gain from that optimum.
         theirs: the optimal gamma by Clarabel; None if it failed.
         attained: level that is attained with our gain fixed; None if that solution failed.
-        solver_status: the solver's status if it did not solve both problems, or empty.
+        said: the solver's status if it did not solve both problems, or empty.
     """
 
     problem: str
@@ -39,7 +39,7 @@ class CrossCheck:
     optimum_gap: float
     theirs: float | None
     attained: float | None
-    solver_status: str
+    said: str
 
     @property
     def apart(self) -> float | None:
@@ -70,10 +70,10 @@ class CrossCheck:
     def text(self) -> str:
         """The result in words."""
         if self.theirs is None:
-            return f"no cross-check: {self.solver_status}"
+            return f"no cross-check: {self.said}"
         text = f"Clarabel's gamma for {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} from this design"
         attained = f"the designed gain attains it within {SHARE.digits(abs(self.above))}" if self.above is not None else ""
-        return "; ".join(filter(None, (text, attained, self.solver_status)))
+        return "; ".join(filter(None, (text, attained, self.said)))
 
 
 SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")

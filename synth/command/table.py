@@ -364,7 +364,7 @@ LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EI
 CLAIMS = Record[Certificate](
     Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
 )
-DESIGN_RECORD = Record[Row](
+DESIGN_RECORD = Record[Any](  # of a row whose design succeeded
     Record("name", measured="controller.measured"),
     lambda row: row.controller.law.record,
     lambda row: _hardware(row.controller),

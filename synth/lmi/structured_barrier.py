@@ -78,12 +78,14 @@ def start_constraints(plant: Plant, largest: float) -> list[Constraint]:
 
 def path_barrier(plant: Plant, free: int) -> "StructuredBarrier":
     """Returns the barrier of (24) and X > 0."""
-    return StructuredBarrier(path_constraints(plant), *plant.B.shape, free)
+    n, m = plant.B.shape
+    return StructuredBarrier(path_constraints(plant), n, m, free)
 
 
 def start_barrier(plant: Plant, free: int, largest: float) -> "StructuredBarrier":
     """Returns the barrier of the search for a feasible point; `largest` bounds |Y|."""
-    return StructuredBarrier(start_constraints(plant, largest), *plant.B.shape, free)
+    n, m = plant.B.shape
+    return StructuredBarrier(start_constraints(plant, largest), n, m, free)
 
 
 def _definite(n: int, m: int, sign: float) -> Constraint:

@@ -63,7 +63,7 @@ LIGHT = [name for name in names() if name not in ("control_lab", "ctms", "mathwo
 def said_of(*some: str):
     """Returns the JSON of some entries, by name."""
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as out:
-        share(patch, numbers, "compared")
+        share(patch, numbers, "compare_numbers")
         assert main([*some, "--json"]) == 0
     return {one["name"]: one for one in json.loads(out.getvalue())["entries"]}
 

@@ -1,7 +1,7 @@
 """A hand-tuned gain: how far may it rise, and how near is the loop to instability?"""
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from tests.evals import Answer, Case, car, equations
 
@@ -17,7 +17,7 @@ def growth(factor: float) -> float:
     return np.linalg.eigvals(A + factor * np.outer(PUSH, GAINS @ MEASURED)).real.max()
 
 
-FACTOR = brentq(growth, 1.0, 10.0)
+FACTOR = root_scalar(growth, bracket=(1.0, 10.0), xtol=1e-12).root
 OMEGA = np.geomspace(0.01, 1e4, 400001)
 L = -(np.linalg.solve(1j * OMEGA[:, None, None] * np.eye(4) - A, PUSH[:, None])[..., 0] @ MEASURED.T @ GAINS)
 DISK = 1 / np.abs((1 - L) / (1 + L) / 2).max()

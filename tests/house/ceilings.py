@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3203   1922    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      573    166      0
     models/characteristics/stop*.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2132   1909      0
+parts of a suspension                                          2133   1909      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -84,7 +84,7 @@ goals, families, trade-off front                               3646   1551    12
     docs/how-to/{goals,trade-off}.md docs/explanation/how-goals-are-proved.md
 uncertainty: fragility, mu, boxes                              2306    935     61
     synth/design/uncertainty/* synth/analysis/uncertainty_box.py synth/lmi/stacked_barrier.py synth/command/fragility.py
-    {models/laws,models/vehicle,synth/vehicle}/weighted_errors.py
+    {models/laws,synth/vehicle}/weighted_errors.py
     tests/*/test_{fragility,multipliers,tolerance,weighted_errors}.py
     docs/how-to/robustness.md
 sampled data: norm, bound, designs, rates                      2055   1235    110
@@ -100,7 +100,7 @@ full-order H-infinity                                           915    741    11
 static search, descent, refine                                 2074    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
-two steps, LMI path                                            2732   1013     35
+two steps, LMI path                                            2734   1013     35
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
@@ -125,7 +125,7 @@ log re-verification                                             861    579     4
 recordings: MCAP, Foxglove, Rerun                              2194   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3544   1380     68
+page and figures                                               3546   1380     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2763   1799    195

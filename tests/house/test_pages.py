@@ -40,7 +40,7 @@ def slow(one: Section) -> bool:
 @pytest.mark.parametrize("one", in_the_suite([each for each in SECTIONS if not slow(each)], SECTIONS), ids=str)
 def test_commands(one, tmp_path, monkeypatch, capsys):
     """Every command exits with 0, prints the lines that stand beside it, and draws the picture that is shown."""
-    share(monkeypatch, numbers, "compared")  # three pages show numbers of the gallery, which `test_gallery.py` holds
+    share(monkeypatch, numbers, "compare_numbers")  # three pages show numbers of the gallery, which `test_gallery.py` holds
     if any("--picture" in line or "sim.report" in line for line in one.commands):
         pytest.importorskip("matplotlib", reason="needs the extra [report]")
         pytest.importorskip("jinja2", reason="needs the extra [report]")

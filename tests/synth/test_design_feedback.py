@@ -281,7 +281,7 @@ def test_what_cannot_be_is_said_first(change, message, monkeypatch):
     parts = {name: getattr(OSCILLATOR, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     given: dict[str, Any] = {"Cy": CY, "Dyw": None} | change
     plant = GeneralizedPlant(**{**parts, **{name: value for name, value in given.items() if name in parts}})
-    for search in ("synth.design.two_step.two_step_design", "synth.design.static.descended"):
+    for search in ("synth.design.two_step.two_step_design", "synth.design.static.design_by_descent"):
         monkeypatch.setattr(search, lambda *given: pytest.fail("something is searched for"))
     with pytest.raises(InputError, match=message):
         design_feedback(plant, given["Cy"], given["Dyw"])

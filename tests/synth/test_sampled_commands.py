@@ -469,7 +469,7 @@ def test_table_of_many(never_lost):
     """A row has the rates at which a loop is lost: 100 kHz, the fastest, for one that no computer keeps, - for one without."""
     vehicle = read_vehicle("quarter_car")
     found = cost(vehicle, design(vehicle, "I"), [1e-2])
-    lost = (replace(found, lost=0.0, lost_late=0.05), replace(found, lost=math.inf, lost_late=0.25))
+    lost = (replace(found, unstable_period=0.0, lost_late=0.05), replace(found, unstable_period=math.inf, lost_late=0.25))
     (table,) = [one for one in describe(lost).tables if one.name == "rates"]
     assert [row[-2:] for row in table.rows] == [("1e+05", "20"), ("-", "4")]
     assert found.lower_bound is not None

@@ -51,7 +51,7 @@ def front_section(scope: Subject, progress: Callable[[str], None]) -> Document:
     except DesignError as error:
         return Document(TITLE, notes(f"There is no trade-off: {error}"))
     if not trade_off.points:
-        return Document(TITLE, notes(f"There is no trade-off: of {trade_off.tried} designs no claim could be proved."))
+        return Document(TITLE, notes(f"There is no trade-off: of {trade_off.design_count} designs no claim could be proved."))
     measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
     norms = np.array([trade_off.points[i].values for i in trade_off.marked])
     document, texts = describe(trade_off, measured), []

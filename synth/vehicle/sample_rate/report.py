@@ -140,7 +140,7 @@ RECORD = Record[Cost](
     lower_bound="lower_bound",
     delay="delay",
     rates=AT_RATE.all(lambda one: [(one, at) for at in one.rates]),
-    unstable_from="lost",
+    unstable_from="unstable_period",
     late_unstable_from="lost_late",
 )
 

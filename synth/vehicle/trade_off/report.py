@@ -113,7 +113,7 @@ RECORD = Record[Front](
         {"axes": [front.axes[k].name for k in one.axes], "weights": one.weights, "norms": one.norms} for one in front.limits
     ],
     loads=lambda front: dict(front.points[0].controller.hardware.loads) if front.points else {},
-    designs="tried",
+    designs="design_count",
     unproved="unproved",
     interrupted=lambda front: False,
 )
