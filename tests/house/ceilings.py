@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3203   1922    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      573    166      0
     models/characteristics/stop*.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2133   1909      0
+parts of a suspension                                          2133   1916      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -125,7 +125,7 @@ log re-verification                                             861    579     4
 recordings: MCAP, Foxglove, Rerun                              2194   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3546   1380     68
+page and figures                                               3545   1380     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2763   1799    195

@@ -781,14 +781,21 @@ def held(kind: str) -> AnyController:
     return driver_of(car(kind, (), "at the wheel"), "held")
 
 
+def driven(kind, names, ratio, h=H, whole=False) -> tuple[list[RoadInput], list[Recording]]:
+    """MuJoCo's runs over a bump side by side: of the car, one with a fault, other tables, other parameters; or of the car.
+
+    There are all four for `whole`, and for each case whose runs several tests share.
+    """
+    return _driven(kind, names, ratio, h, h == H and (whole or (kind, names, ratio) in SIDE_BY_SIDE))
+
+
 @cache
-def driven(kind, names, ratio, h=H) -> tuple[list[RoadInput], list[Recording]]:
-    """MuJoCo's runs over a bump side by side: of the car, one with a fault, other tables, other parameters; or of the car."""
-    cars = [car(kind, names, ratio)]
-    if (kind, names, ratio) in SIDE_BY_SIDE and h == H:
+def _driven(kind, names, ratio, h, whole) -> tuple[list[RoadInput], list[Recording]]:
+    cars, long = [car(kind, names, ratio)], h == H or any(ROWS[name].slot == "stop" for name in names)
+    if whole:
         scaled = {name: 1.02 * one for name, one in cars[0].parameters.items() if name.startswith(("suspension_", "motion_"))}
         cars += [car(kind, names, ratio, fault=FAULT), car(kind, names, ratio, 1.01), cars[0].with_parameters(**scaled)]
-    inputs = [RoadInput(one, ROADS[kind], sample_times(one, 0.3 if h == H else 0.2, h)) for one in cars]
+    inputs = [RoadInput(one, ROADS[kind], sample_times(one, 0.3 if long else 0.2, h)) for one in cars]
     return inputs, list(simulate([held(kind)] * len(cars), inputs).recordings)
 
 
@@ -864,7 +871,7 @@ def judged(on: RoadInput, physics: Recording) -> Run:
 @some_runs
 def test_the_verdict_passes_and_a_fault_is_found(kind, names, ratio):
     """A run agrees and its energy balances; a number that is 2 % off in the physics alone, or in the equations, is found."""
-    (on, wrong, *_), (physics, faulty, *_) = driven(kind, names, ratio)
+    (on, wrong, *_), (physics, faulty, *_) = driven(kind, names, ratio, whole=True)
     assert with_energy_balance([judged(on, physics)], [physics])[0].passed
     assert not judged(on, faulty).agrees
     assert not judged(wrong, physics).agrees
@@ -922,7 +929,7 @@ def test_a_log_proves_every_part(tmp_path, capsys):
 @some_runs
 def test_runs_side_by_side_are_those_alone(kind, names, ratio):
     """Vehicles that differ in tables, and in parameters, run in one batch as each does alone, to the last bit."""
-    inputs, together = driven(kind, names, ratio)
+    inputs, together = driven(kind, names, ratio, whole=True)
     for on, one in zip(inputs[2:], together[2:], strict=True):
         alone = simulate([held(kind)], [RoadInput(on.vehicle, ROADS[kind], H * np.arange(40))]).response.values[0]
         assert np.array_equal(one.response.values[:39, : alone.shape[-1]], alone[:39])
