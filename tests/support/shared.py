@@ -47,6 +47,7 @@ from models.roads.road import Bump, Road
 from models.vehicle import vehicle
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run, run_controllers, sample_times
+from synth.analysis.certificate import LaterBound
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of
@@ -249,6 +250,8 @@ class _Content(cloudpickle.Pickler):
             return getattr, (obj.dtype.str, obj.shape, obj.flags.c_contiguous, obj.tobytes())
         if isinstance(obj, VehicleKind):
             return VehicleKind, (_of_kind(obj),)
+        if isinstance(obj, LaterBound):  # the rest of its certificate says of what it is
+            return LaterBound, ()
         if is_dataclass(obj) and not isinstance(obj, type):
             return type(obj), tuple(getattr(obj, one.name) for one in fields(obj))
         if isinstance(obj, FunctionType):
