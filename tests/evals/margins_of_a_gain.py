@@ -18,7 +18,7 @@ def growth(factor: float) -> float:
 
 
 FACTOR = root_scalar(growth, bracket=(1.0, 10.0), xtol=1e-12).root
-OMEGA = np.geomspace(0.01, 1e4, 400001)
+OMEGA = np.geomspace(0.01, 1e4, 20001)
 L = -(np.linalg.solve(1j * OMEGA[:, None, None] * np.eye(4) - A, PUSH[:, None])[..., 0] @ MEASURED.T @ GAINS)
 DISK = 1 / np.abs((1 - L) / (1 + L) / 2).max()
 
