@@ -57,11 +57,6 @@ class CoefficientRange:
         ]
         return [part for (travel, _), own in pairs for part in (travel[..., None], own)]
 
-    def _effective(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity`, but the closing velocities of elements."""
-        closing = closing[..., : self.low.shape[1]]
-        return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
-
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are.
 

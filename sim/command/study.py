@@ -70,14 +70,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         print_json(whole)
     else:
         lines = one.lines(request, result, [*written_lines(outputs), *log_lines([logs])])
-        say(
-            lines
-            + (
-                left_out_lines(omitted_controllers(given, options.controller, request.names))
-                if several and given is not None
-                else []
-            )
-        )
+        if several and given is not None:
+            lines += left_out_lines(omitted_controllers(given, options.controller, request.names))
+        say(lines)
     return 0 if one.holds(result) and len(driven) == len(request.names) else 1
 
 

@@ -41,7 +41,7 @@ laws in Python                                                  769    694    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            197    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1306    722    204
+semi-active dampers and laws                                   1301    722    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
@@ -130,7 +130,7 @@ page and figures                                               3545   1380     6
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2763   1799    205
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
-studies: one noun for commands and the page                     439      0      0
+studies: one noun for commands and the page                     434      0      0
     sim/command/study.py sim/studies/{registry,study,subject}.py
 gallery of papers                                               734    343     49
     sim/gallery.py sim/studies/gallery/* models/gallery/** tests/claims/test_gallery.py

@@ -62,7 +62,7 @@ examples:
 
         vehicle = at_rest(request.vehicle)
         for one in request.controllers:
-            check_loop(_prompt(vehicle), vehicle, one, request.options.timestep)
+            check_loop(_without_computer(vehicle), vehicle, one, request.options.timestep)
 
     def run(self, request: StudyRequest, progress: Progress) -> "list[StabilityMargins]":
         from sim.studies.stability.study import stability_margins
@@ -94,7 +94,7 @@ examples:
         return margins_figure(result[0])
 
     def recorded_vehicle(self, given: "Vehicle") -> "Vehicle":
-        return _prompt(given)
+        return _without_computer(given)
 
     def runs(self, request: StudyRequest, result: "list[StabilityMargins]") -> "dict[str, Run]":
         """Returns the run that still decays and the one that grows; without a delay margin, the longest delay tried."""
@@ -102,7 +102,7 @@ examples:
         from sim.runs.run import run_controllers, sample_times
         from sim.studies.stability.margin_search import BUMP
 
-        vehicle, timestep, delay = _prompt(request.vehicle), request.options.timestep, result[0].loops[""].delay
+        vehicle, timestep, delay = _without_computer(request.vehicle), request.options.timestep, result[0].loops[""].delay
         delays = [delay.stable, delay.unstable] if math.isfinite(delay.unstable) else [delay.stable]
         time, runs = sample_times(vehicle, RECORDED_TIME, timestep), {}
         for samples in (round(delay / timestep) for delay in delays):
@@ -120,7 +120,7 @@ examples:
         return compare(result)
 
 
-def _prompt(vehicle: "Vehicle") -> "Vehicle":
+def _without_computer(vehicle: "Vehicle") -> "Vehicle":
     """Returns the vehicle without sample period, delay and noise."""
     from models.vehicle.limits_and_implementation import Implementation
 
