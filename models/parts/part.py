@@ -73,10 +73,11 @@ class Line:
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
         """Returns the pull of the line without its inertance [N], shape (...); without states given, these are 0."""
-        total: Any = 0.0
+        total: Any = None
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
             if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
-                total = total + slope * x
+                total = slope * x if total is None else total + slope * x
+        total = 0.0 if total is None else total
         return total if z is None or self.of_states is None else total + (self.of_states * z).sum(axis=-1)
 
     def rate(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:

@@ -12,11 +12,26 @@ import pytest
 
 from models.vehicle.vehicle import read_vehicle
 from synth.vehicle.designer import Designer
+from tests.support.commands import main_of
 from tests.support.pages import ROOT, copied, page, sections
 
 EXTENSIONS = "models/common/extensions.py"
 KNOWN = read_vehicle("quarter_car").controller_names
 MARK = "\n\n# By their names on a command line"
+
+# Runs `python -m sim` several times in one process, and prints the exit code and the output of each, or what went to stderr.
+CALLS = """
+import contextlib, io, json, runpy, sys
+found = []
+for words in json.loads(sys.argv[1]):
+    sys.argv = ["sim", *words]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            runpy.run_module("sim", run_name="__main__", alter_sys=True)
+        except SystemExit as end:
+            found.append((end.code, out.getvalue() or err.getvalue()))
+print(json.dumps(found))
+"""
 
 
 def register(root, sort, row):
@@ -76,28 +91,39 @@ def test_add_a_study(tmp_path):
         + "[controllers.away]\nmeasured = ['sprung_velocity']\ngain = [[9e4]]\n"
     )
 
-    def run(*arguments: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "sim", *arguments]
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        return done.returncode, done.stdout or done.stderr
-
     def poles(car: str, name: str) -> list[tuple[float, float]]:
         vehicle = read_vehicle(car)
         A = Designer(vehicle).design(name).loop(vehicle).A
         upper = sorted((p for p in np.linalg.eigvals(A) if p.imag >= 0), key=abs)
         return [(abs(p) / (2 * np.pi), -p.real / abs(p)) for p in upper]
 
-    code, out = run("modes", "--controller", "I", "--json")
+    calls = (
+        ["modes", "--controller", "I", "--json"],
+        ["modes", "--controller", "I"],
+        ["modes", "--controller", "away", "--vehicle", "away.toml"],
+        ["modes"],
+        ["modes", "--help"],
+        ["--help"],
+        ["report", "--quick", "--controller", "I", "--out", "page.html", "--json"],
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", CALLS, json.dumps(calls)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    (code, out), (_, printed), (failed, _), missing, (_, its_help), (_, whole), (_, page) = json.loads(done.stdout)
     modes = [(one["frequency"], one["damping"]) for one in json.loads(out)["modes"]]
     assert (code, modes) == (0, [pytest.approx(mode, rel=1e-9) for mode in poles("quarter_car", "I")])
-    assert all(f"{frequency:.3f}" in run("modes", "--controller", "I")[1] for frequency, _ in modes)
-    assert run("modes", "--controller", "away", "--vehicle", "away.toml")[0] == 1
-    assert run("modes") == (2, "roadproof: no controller is given; give --controller with one of: " + ", ".join(KNOWN) + "\n")
-    assert "usage: roadproof modes" in run("modes", "--help")[1]
-    assert "modes       list the modes of a closed loop\n" in run("--help")[1]
-    code, out = run("report", "--quick", "--controller", "I", "--out", "page.html", "--json")
-    shown = [(row["frequency [Hz]"], row["damping ratio"]) for row in json.loads(out)["tables"]["modes"]]
+    assert all(f"{frequency:.3f}" in printed for frequency, _ in modes)
+    assert failed == 1
+    assert missing == [2, "roadproof: no controller is given; give --controller with one of: " + ", ".join(KNOWN) + "\n"]
+    assert "usage: roadproof modes" in its_help
+    assert "modes       list the modes of a closed loop\n" in whole
+    shown = [(row["frequency [Hz]"], row["damping ratio"]) for row in json.loads(page)["tables"]["modes"]]
     assert shown == [(f"{frequency:.3f}", f"{damping:.3f}") for frequency, damping in modes]
     assert "Modes of the closed loop" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
@@ -314,9 +340,9 @@ def test_add_a_metric(tmp_path):
         print(best["best"][0]["best"]["numbers"] == {"dose_per_km": least})
         print("dose_per_km" in told(campaign, "--help"), "divided by the distance" in metric_tables())
     """
-    before = ["-m", "sim.drive", "--controller", "passive", "--road", "iso8608:class=C", "--duration", "0.5", "--logs", "earlier"]
+    before = ["--controller", "passive", "--road", "iso8608:class=C", "--duration", "0.5", "--logs", str(tmp_path / "earlier")]
+    assert main_of("sim.drive")(before) == 0
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    subprocess.run([sys.executable, *before], cwd=tmp_path, env=environment, capture_output=True, check=True)
     (tmp_path / "sim" / "studies" / "ride" / "kinds" / "dose_per_km.py").write_text(file, encoding="utf-8")
     register(tmp_path, "metric", line)
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)

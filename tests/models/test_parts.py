@@ -339,9 +339,7 @@ PAIRS = [(pair, ratio) for pair in itertools.combinations(ROWS, 2) if fit(*pair)
 PAIRS += [((name, "actuator"), "over travel") for name in FOR_ALL if fit(name, "actuator")]
 ALONE = [(kind, *case) for case in SINGLE for kind in CORNERS if kind != "half_car_roll" or case[1] == "over travel"]
 ON_QUARTER = [case for case in ALONE if case[0] == "quarter_car"]
-LARGER = [
-    (kind, (name,), RATIOS[(i + j) % 3]) for i, name in enumerate(FOR_ALL) for j, kind in enumerate(("half_car", "full_car"))
-]
+LARGER = [(("half_car", "full_car")[i % 2], (name,), RATIOS[i // 2 % 3]) for i, name in enumerate(FOR_ALL)]
 LARGER += [("half_car_roll", *case) for case in SINGLE[2::6]] + [("full_car", *SINGLE[-1])]
 BESIDE = [(kind, *pair) for kind, pair in zip(itertools.cycle(CORNERS), PAIRS, strict=False)]  # on one car each
 TOGETHER = ("half_car", ("stops", "damper"), "over travel")
@@ -358,9 +356,15 @@ def in_suite(*some):
     return pytest.mark.parametrize(("kind", "names", "ratio"), cases, ids=label)
 
 
-every = in_suite(*ON_QUARTER, *LARGER, *BESIDE[4::36])  # all pairs of row, ratio and car
-at_ratios = in_suite(*(case for case in ON_QUARTER if case[2] != "at the wheel"), TOGETHER)  # r = 1 is a constant one
-SIDE_BY_SIDE = {*ON_QUARTER, TOGETHER, ("full_car", ("surface damper",), "constant")}
+# All rows at all ratios, and each on a larger car, of which each has all ratios.
+every = in_suite(*ON_QUARTER, *LARGER, *BESIDE[4::36])
+OVER_TRAVEL = [case for case in ON_QUARTER if case[2] == "over travel"]
+CONSTANT_RATIO = [("quarter_car", (name,), RATIOS[i % 2]) for i, name in enumerate(FOR_ALL)]
+steps = in_suite(*OVER_TRAVEL, *CONSTANT_RATIO, *LARGER, *BESIDE[4::36])  # as `every`, with one of two constant ratios
+# A constant ratio has the forms of curves and stops, but no form of a part with states, and r = 1 is one.
+of_energy = in_suite(*OVER_TRAVEL, *(("quarter_car", (name,), "constant") for name in FOR_ALL if not ROWS[name].rate), TOGETHER)
+ONE_EACH = [("quarter_car", (name,), RATIOS[i % 3]) for i, name in enumerate(FOR_ALL)]
+SIDE_BY_SIDE = {*ONE_EACH, OVER_TRAVEL[-1], TOGETHER, ("full_car", ("surface damper",), "constant")}
 some_runs = in_suite(*SIDE_BY_SIDE)
 
 
@@ -682,7 +686,7 @@ def check_energy(part: Part) -> None:
         assert np.abs(part.stored_beyond(x) - beyond).max() <= EXACT * np.abs(energy).max()
 
 
-@at_ratios
+@of_energy
 def test_energy_is_stored_or_lost(kind, names, ratio):
     """The energy that a part stores is the integral of its pull; what it does not store it loses on every closed path."""
     vehicle = car(kind, names, ratio)
@@ -799,7 +803,7 @@ def _driven(kind, names, ratio, h, whole) -> tuple[list[RoadInput], list[Recordi
     return inputs, list(simulate([held(kind)] * len(cars), inputs).recordings)
 
 
-@every
+@steps
 def test_a_step_is_a_step_of_the_equations(kind, names, ratio):
     """Each step of MuJoCo is one RK4 step of masses, lengths and the written laws, over a bump that reaches all of a law."""
     (on, *_), (physics, *_) = driven(kind, names, ratio)

@@ -75,8 +75,21 @@ class Hysteretic(Part):
 
     def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
         """Returns the numbers `by_voltage` at voltages u beyond `voltage` [V]."""
-        volts = self.voltage + u
-        return tuple(getattr(self, name) + getattr(self, f"{name}_per_volt") * volts for name in self.by_voltage)
+        if isinstance(u, float) and not u:  # of a constant voltage, in each stage of a step
+            return self._without_command
+        return self._at(self.voltage + u)
+
+    def _at(self, volts: Any) -> tuple[Any, ...]:
+        return tuple([number + per_volt * volts for number, per_volt in self._voltage_lines])
+
+    @cached_property
+    def _voltage_lines(self) -> tuple[tuple[Number, Number], ...]:
+        """Each of the numbers `by_voltage` at 0 V, and its change per volt."""
+        return tuple((getattr(self, name), getattr(self, f"{name}_per_volt")) for name in self.by_voltage)
+
+    @cached_property
+    def _without_command(self) -> tuple[Number, ...]:
+        return self._at(self.voltage)
 
     @property
     @abstractmethod
@@ -102,7 +115,7 @@ class Hysteretic(Part):
     def evolution(self, w: Array, z: Array) -> Array:
         """Returns z', shape (...), from w [m/s] and z, shape (...)."""
         A, b, g, n = self.law
-        size, speed = (np.where(np.real(x) < 0, -x, x) for x in (z, w))  # also of complex steps
+        size, speed = _magnitude(z), _magnitude(w)
         return A * w - size ** (n - 1) * (b * speed * z + g * w * size)
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -159,3 +172,8 @@ class Hysteretic(Part):
         """See `Part.fastest`: as z approaches its limit, or as it returns from there."""
         _, b, g, n = self.law
         return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FASTEST)
+
+
+def _magnitude(x: Array) -> Array:
+    """Returns |x|; of a complex step that of its real part, so that the derivative stays."""
+    return np.abs(x) if np.isrealobj(x) else np.where(np.real(x) < 0, -x, x)
