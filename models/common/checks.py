@@ -57,6 +57,7 @@ Index = Annotated[int, Must("an integer from 0 upwards", lambda value: value >= 
 Vector = Annotated[Array, Must("a list of finite numbers", lambda value: value.ndim == 1 and bool(np.isfinite(value).all()))]
 Matrix = Annotated[Array, Must("a matrix of finite numbers", lambda value: value.ndim == 2 and bool(np.isfinite(value).all()))]
 Name = Annotated[str, Must("letters, digits and '_', no digit first", str.isidentifier)]
+PLAIN = (str, float, int, bool)
 WORDS: Mapping[Any, str] = {
     Any: "anything",
     Array: "an array of numbers",
@@ -78,6 +79,8 @@ def check(name: str, value: Any, annotation: Any) -> Any:
     Raises:
         InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
     """
+    if _obviously(value, annotation):
+        return value
     check_unmasked(name, value)
     try:
         return _fit("", value, annotation)
@@ -222,7 +225,7 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
 
 def _obviously(value: Any, annotation: Any) -> bool:
     """Returns True for a text, a number or a truth value that fits without a further look; most fields of a linear model do."""
-    return annotation in (str, float, int, bool) and type(value) is annotation and value == value  # NaN is not equal to itself
+    return type(value) is annotation and annotation in PLAIN and value == value  # NaN is not equal to itself
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:

@@ -61,6 +61,7 @@ class Computer:
         self._changes[self._late % self.period] = True
         most = max(one.pending_forces for one in how)
         self._waiting = np.zeros((most + 1, len(how), actuators.size))  # a ring, by sample
+        self._all, self._at_once = isinstance(runs, slice), not most
         self._resolution = np.array([[one.quantisation.get(name, 0.0) for name in driver.measured] for one in how])
         self._step = np.where(self._resolution > 0, self._resolution, 1.0) if self._resolution.any() else None
         drawn = (*vehicles[0].linear_model.outputs, *closing)
@@ -85,7 +86,7 @@ class Computer:
         """Sets the commands of timestep k, shape (N, size), from signals and closing velocities at its start, shape (N, S)."""
         sample, phase = divmod(k, self.period)
         if not phase:
-            seen = signals[self.runs]
+            seen = signals if self._all else signals[self.runs]
             y, closing = seen.take(self._places, axis=1), seen[:, self._signals :]
             if self._noise is not None:
                 y += self._noise[k]
@@ -102,11 +103,11 @@ class Computer:
             computed = self._actuators.commands(requested, closing, self.runs, self.driver.requests)
             if self._limiter is not None:
                 computed = self._given = self._limiter(computed, self._given)
-            if len(self._waiting) == 1:
+            if self._at_once:
                 commands[self.runs] = computed
                 return
             self._waiting[sample % len(self._waiting)] = computed
-        if self._changes[phase] and len(self._waiting) > 1:
+        if self._changes[phase] and not self._at_once:
             due = (k - self._late) // self.period % len(self._waiting)  # before the first arrives, its place in the ring is 0
             commands[self.runs] = self._waiting[due, self._each]
 

@@ -155,11 +155,11 @@ class Loop:
         how: Sequence[Implementation],
         actuators: Actuators,
     ) -> list[Computer]:
-        """Returns the started computers of some runs: one per kind of driver and sample period."""
+        """Returns the started computers of some runs: one per kind of driver and sample period, and none for passive runs."""
         timestep, roads = batch.timestep, np.concatenate([batch.now, batch.beyond]) if len(batch.beyond) else batch.now
         groups: dict[tuple[tuple[object, ...], int], list[int]] = {}
         for i, (one, implementation) in enumerate(zip(controllers, how, strict=True)):
-            if one is not None:
+            if one is not None and (actuators.size > actuators.forces or not _is_passive(one, timestep)):
                 groups.setdefault((one.driver_key, steps_per_sample(implementation, timestep)), []).append(i)
         computers, names = [], [self.readout.names[i] for i in self.seen]
         for some in groups.values():
@@ -267,12 +267,17 @@ class Loop:
             roads[..., readout.mocap], sensed[0] = midway[block], sensors
             law_states, seen = np.zeros((length, count, states)), np.full((length, count, of_reading.shape[1]), np.nan)
             acts, others = np.empty((length if actuators.lags else 0, *activations.shape)), dict[int, Array]()
+            moving, with_own = readings[..., :moved], readings[..., sensed_to:] if sensed_to < width else None
             for i in range(length):
                 if stopped():
                     return
-                k, reading, signals = start + i, readings[i], seen[i]
-                reading[:, :moved], reading[:, sensed_to:] = motion, own
+                k = start + i
+                moving[i] = motion
+                if with_own is not None:
+                    with_own[i] = own
+                signals = seen[i]
                 if k in sampled:
+                    reading = readings[i]
                     if fresh:
                         if in_readings is not None:
                             pushed[:, readout.load_dofs] = in_readings[k, :, :loads]
@@ -314,7 +319,7 @@ class Loop:
                     side = batch.sides[k][None]
                     heights[:, readout.mocap] = side[0]
                     physics.forward()
-                    others[k] = signals_of(sensors[None], reading[None], side, side, side, requested[[i]], acts[i : i + 1])[0]
+                    others[k] = signals_of(sensors[None], readings[[i]], side, side, side, requested[[i]], acts[i : i + 1])[0]
                 if in_signals is not None and held is not None:
                     pushed[:, readout.load_dofs] = held[k, :, :loads]
                 heights[...] = roads[i]
@@ -379,6 +384,13 @@ class _Signals:
         for force, given in zip(np.moveaxis(commands, 2, 0), self.unclipped, strict=False):
             largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
         return largest, overflowed
+
+
+def _is_passive(controller: RunDriver, timestep: float) -> bool:
+    """Returns True for a linear law that depends on nothing, so that its forces are always 0."""
+    return controller.linear is True and not (
+        controller.measured or controller.states or controller.preview_samples(timestep) or controller.code
+    )
 
 
 def _acts_without_limit(vehicle: Vehicle) -> list[bool]:

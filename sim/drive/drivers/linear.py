@@ -16,6 +16,8 @@ from synth.controller.controller import Controller
 if TYPE_CHECKING:
     from models.parts.damper_range import CoefficientRange
 
+IN_ORDER = 8  # terms from which numpy adds pairs first
+
 
 class LinearDriver:
     """Linear laws with their anti-windup, and their forces from the road ahead."""
@@ -68,7 +70,9 @@ class LinearDriver:
     def step(self, k: int, y: Array, ahead: Array | None, state: Array) -> tuple[Array, Array]:
         m, q = self._forces, len(self._gain)
         # Zeros for the measurements of other controllers do not change the rounding.
-        computed = sum(self._gain * y.T[:q, :, None], start=np.zeros(self._gain.shape[1:]))
+        products = self._gain * y.T[:q, :, None]
+        # numpy adds few terms one after the other, whatever the number of runs; of many terms it may change the order.
+        computed = np.add.reduce(products, axis=0) if q < IN_ORDER else sum(products, start=np.zeros(products.shape[1:]))
         if state.shape[1]:
             computed += np.matvec(self._memory, state)
         forces, state = computed[:, :m], computed[:, m:]
