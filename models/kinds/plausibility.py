@@ -86,6 +86,7 @@ RULES = (
     Rule("speed", lambda speed: speed > 70, '{speed} is above 70 m/s; check that it is in m/s, or give "90 km/h", for example'),
     Rule("obstacle", lambda height: height > 0.5, "{obstacle} is above 0.5 m; check that it is in m"),
 )  # fmt: skip
+NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # of the quantities of each rule, in their order
 
 
 def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
@@ -95,9 +96,9 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
         places: the known quantities at each place, by the names that rules have for them.
     """
     places, said, first = list(places), list[str](), 9
-    for rule in RULES:
+    for rule, names in zip(RULES, NAMES, strict=True):
         for known in places if rule.rank <= first else ():
-            if all(name in known for name in rule.of.split()) and rule.odd(*(known[name].value for name in rule.of.split())):
+            if known.keys() >= names.keys() and rule.odd(*[known[name].value for name in names]):
                 said.append(rule.words.format(**known))
                 first = min(first, rule.rank or first)
                 break

@@ -553,7 +553,7 @@ class Vehicle(ShownResult):
         _ = sound.parts  # these parameters, too, must go with its dampers
         return sound
 
-    @property
+    @cached_property
     def warnings(self) -> list[str]:
         """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]

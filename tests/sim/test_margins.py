@@ -246,7 +246,7 @@ def test_integrators_that_two_forces_share_are_sampled_together():
         cuts = loop.forces[:1], loop.forces
         assert all_sampled(loop, cuts[0]) == together
         periods = [largest_sample_period(loop, forces) for forces in cuts]
-        assert (periods[0] == periods[1]) == together
+        assert periods[0] == pytest.approx(periods[1], rel=1e-9)  # the ends of two bisections
         for forces, period in zip(cuts, periods, strict=True):
             part = sampled_part(loop, forces)
             assert sampled_growth_at(part, 0.99 * period) < 0 < sampled_growth_at(part, 1.01 * period)
