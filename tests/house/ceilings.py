@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3158   2218      0
+what all commands share: files, options, checks, tables of numbers   3161   2218      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6332   2011    352
+vehicle file, types, equations, MJCF                           6333   2012    352
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3203   1922    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      573    166      0
     models/characteristics/stop*.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2133   1916      0
+parts of a suspension                                          2152   1924      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -149,7 +149,7 @@ measured logs beside runs                                       523    318     9
 map of validity                                                1258    369     33
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2909   1098     18
+MuJoCo loop                                                    2926   1098     18
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
@@ -167,7 +167,7 @@ commands that drive                                            1093    978    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5162   1582
+house, pages, benchmarks                                          0   5202   1582
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

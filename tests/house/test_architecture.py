@@ -342,9 +342,8 @@ def imported_as_it_runs(path: Path) -> set[str]:
     nodes, found = [tree], set[str]()
     while nodes:
         node = nodes.pop()
-        nodes += [
-            one for one in ast.iter_child_nodes(node) if not (isinstance(one, ast.If) and "TYPE_CHECKING" in ast.dump(one.test))
-        ]
+        within = [one for name in ("body", "orelse", "handlers", "finalbody", "cases") for one in getattr(node, name, ())]
+        nodes += [one for one in within if not (isinstance(one, ast.If) and "TYPE_CHECKING" in ast.dump(one.test))]
         if isinstance(node, ast.ImportFrom) and node.module:
             found |= {f"{node.module}.{one.name}" for one in node.names}
         elif isinstance(node, ast.Import):

@@ -4,9 +4,11 @@ import ast
 import functools
 import gc
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tests.support.commands import ROOT
 from tests.support.shared import made
@@ -63,27 +65,40 @@ def read(paths: Iterable[Path], root: Path = ROOT) -> dict[str, Source]:
 def _source(path: Path) -> Source:
     written = path.read_text(encoding="utf-8")
     tree = ast.parse(written)
-    nodes = [*ast.walk(tree)]
-    documented = [node for node in nodes if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
-    calls = [node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
-    named = {node.id for node in nodes if isinstance(node, ast.Name)}
-    named |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    nodes = _nodes(tree)
+    documented = [*nodes[ast.Module], *nodes[ast.ClassDef], *nodes[ast.FunctionDef]]
+    calls = [node.func.id for node in nodes[ast.Call] if isinstance(node.func, ast.Name)]
+    named = {node.id for node in nodes[ast.Name]} | {node.attr for node in nodes[ast.Attribute]}
     return Source(
-        tuple(_imported(path, tree, nodes)),
+        tuple(_imported(path, tree, [*nodes[ast.Import], *nodes[ast.ImportFrom]])),
         frozenset(named),
         not {"exec", "eval", "compile"}.isdisjoint(calls),
         tuple(text for node in documented if (text := ast.get_docstring(node))),
         tuple(_texts(nodes)),
-        tuple(node.name for node in documented if isinstance(node, ast.ClassDef) and not node.name.startswith("_")),
+        tuple(node.name for node in nodes[ast.ClassDef] if not node.name.startswith("_")),
         tuple(_formats(tree)) if IN_DIGITS.search(written) else (),
     )
 
 
-def _texts(nodes: list[ast.AST]) -> Iterator[str]:
-    whole = (ast.JoinedStr, ast.Expr)  # an expression alone is a docstring
-    parts = {id(part) for node in nodes if isinstance(node, whole) for part in ast.iter_child_nodes(node)}
+def _nodes(tree: ast.AST) -> Mapping[type, list[Any]]:
+    """Returns the nodes by their class, without the contexts of names: one pass in place of several."""
+    nodes, by_class = [tree], defaultdict[type, list[Any]](list)
     for node in nodes:
-        if id(node) not in parts and isinstance(node, ast.JoinedStr | ast.Constant) and len((text := _text(node)).split()) > 3:
+        by_class[type(node)].append(node)
+        for name in node._fields:
+            value = getattr(node, name, None)
+            if isinstance(value, list):
+                nodes += [one for one in value if isinstance(one, ast.AST)]
+            elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
+                nodes.append(value)
+    return by_class
+
+
+def _texts(nodes: Mapping[type, list[Any]]) -> Iterator[str]:
+    whole = [*nodes[ast.JoinedStr], *nodes[ast.Expr]]  # an expression alone is a docstring
+    parts = {id(part) for node in whole for part in ast.iter_child_nodes(node)}
+    for node in (*nodes[ast.JoinedStr], *nodes[ast.Constant]):
+        if id(node) not in parts and len((text := _text(node)).split()) > 3:
             yield text
 
 
