@@ -17,6 +17,7 @@ from sim.runs.run import run_controllers, sample_times
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.support import shared
+from tests.support.commands import without_attacks
 
 shared.share_designs()
 shared.share_vehicles()
@@ -37,6 +38,12 @@ TEXTBOOK = {
     "suspension_damping": 1000,
     "tyre_stiffness": 190000,
 }
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Cases of attacks are not made where the marks leave them out: they would be most of all cases."""
+    if config.getoption("markexpr") == "not attack":
+        without_attacks()
 
 
 def pytest_collection_finish() -> None:

@@ -25,6 +25,7 @@ LOG = "time [s];sprung_acceleration [g]\n" + "".join(f"{0.01 * i:.2f};{i % 5}\n"
 FILES = {"log.csv": LOG, "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
 LIMITS, DAMPER = ("--vehicle", "quarter_car.toml"), ("--vehicle", "quarter_car_semi_active", "--controller", "skyhook")
 ONE, STEP = ("--controller", "I"), ("--timestep", "0.005")
+PAIR = ("--controller", "passive", *ONE)
 SHORT = (*STEP, "--duration", "0.2", "--no-logs")
 LIFTS = ("--height", "0.3", "--speed", "25", *STEP, "--duration", "0.4", "--logs", "logs")  # with a log for `sim.inspect`
 MAP = ("--vary", "height:0.02:0.3:2", *STEP)
@@ -54,7 +55,7 @@ CASES = {  # the cases of each command: their names and options
     "sim.campaign": {"plain": ("campaign.toml",)},
     "sim.inspect": {"plain": ("LOG",)},
     "sim.gallery": {"plain": ("textbook",)},
-    "sim.report": {"plain": QUICK, "limits": (*QUICK, *LIMITS)},
+    "sim.report": {"plain": QUICK, "limits": (*PAIR, *QUICK, *LIMITS)},
 }
 
 

@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3161   2218      0
+what all commands share: files, options, checks, tables of numbers   3161   2219      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -41,7 +41,7 @@ laws in Python                                                  769    694    10
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            197    411    129
     models/kinds/user_kind.py tests/*/test_own_*.py docs/how-to/custom-vehicle-type.md
-semi-active dampers and laws                                   1301    722    204
+semi-active dampers and laws                                   1301    725    204
     models/parts/{adjustable,damper_range}.py models/characteristics/adjustable_range.py models/laws/semi_active.py
     sim/drive/drivers/semi_active.py
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
@@ -56,7 +56,7 @@ curves of dampers and springs, statistical linearisation       3203   1922    16
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
 bump stops                                                      573    166      0
     models/characteristics/stop*.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2152   1924      0
+parts of a suspension                                          2152   1923      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py
@@ -162,12 +162,12 @@ runs, verdict, their text                                      2949   1049     6
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1093    978    428
+commands that drive                                            1093    989    428
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5202   1582
+house, pages, benchmarks                                          0   5222   1582
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

@@ -21,9 +21,9 @@ from tests.sim.test_campaign import QUICK, ROOT
 from tests.support.commands import answer, prose, refused
 
 TEXT = (
-    QUICK.replace("seeds = 60", "seeds = 12").replace('["quarter_car"]', '["quarter_car", "half_car"]').replace("I_printed", "I")
+    QUICK.replace("seeds = 60", "seeds = 6").replace('["quarter_car"]', '["quarter_car", "half_car"]').replace("I_printed", "I")
 )
-RUNS = 2 * 2 * 2 * (12 + 1)  # vehicles, controllers, speeds, and seeds of every road
+RUNS = 2 * 2 * 2 * (6 + 1)  # vehicles, controllers, speeds, and seeds of every road
 
 
 def campaign(folder, *arguments, text=TEXT):
@@ -80,7 +80,7 @@ def test_merged_parts_are_the_whole_campaign(parts, tmp_path, capsys):
 
 def test_shares():
     """Parts have every run once, in rows as long as batches, and about as many of each controller, road and speed."""
-    text = TEXT.replace("seeds = 12", "seeds = 3000")
+    text = TEXT.replace("seeds = 6", "seeds = 3000")
     plan = Plan(parse_campaign(text, Path("campaign.toml")), {})
     for of in (1, 2, 7, 40, 20_000):
         shares = [plan.share(number, of) for number in range(1, of + 1)]

@@ -39,9 +39,9 @@ from tests.conftest import recorded_runs
 from tests.support.analysed import sampled_response
 from tests.support.commands import answer, attacks, once, prose
 
-TIME = np.arange(1501) * 2e-3
+TIME = np.arange(801) * 2e-3
 LIMITS = Limits(suspension_stroke=0.12, stop_stiffness=2e5, actuator_force=1400.0)  # near one another over a bump of 5 m
-AXES = ("height:0.02:0.3:10", "speed:3:30:6")
+AXES = ("height:0.02:0.3:10", "speed:5:30:6")
 SPEEDS = (12.0, 17.0, 22.0, 30.0)
 BUILT = (
     read_vehicle("quarter_car").text
@@ -189,7 +189,7 @@ def test_edges_are_those_of_a_dense_map(name, controller, speeds, limited, monke
     """
     vehicle = limited if name == "limited" else parse_vehicle(BUILT) if name == "built" else read_vehicle(name)
     design, steps = Designer(vehicle, search=False).design(controller), run_steps(monkeypatch)
-    axes = read_axes(("height:0.02:0.3:20", "speed:3:30:20"))
+    axes = read_axes(("height:0.02:0.3:20", "speed:5:30:20"))
     found = validity(vehicle, design, grid(axes, FIXED), TIME)
     assert found.as_predicted
     assert len(found.ends) >= 5
@@ -296,7 +296,7 @@ def test_the_csv_is_the_cells(tmp_path, capsys, of_one_map):
     vehicle = tmp_path / "limited.toml"
     section = "".join(f"{name} = {value}\n" for name, value in LIMITS.record.items() if value is not None)
     vehicle.write_text(f"{read_vehicle('quarter_car').text}\n[limits]\n{section}")
-    axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:3:30:5"]
+    axes = ["--vary", "height:0.02:0.3:6", "--vary", "speed:5:30:5", "--duration", "1.6"]
     arguments = ["--vehicle", str(vehicle), "--controller", "I", *axes, "--timestep", "0.002"]
     result = answer(capsys, main, *arguments, "--picture", str(tmp_path / "map.svg"), "--logs", str(tmp_path))
     cells = result["cells"]

@@ -1,6 +1,7 @@
 """Commands as tests run them: in this process by their `main`, or in one of their own."""
 
 import importlib
+import itertools
 import json
 import math
 import os
@@ -62,13 +63,25 @@ def once(function: Callable[..., T]) -> Callable[..., T]:
     return first
 
 
+_all_attacks = [True]
+
+
+def without_attacks() -> None:
+    """Says that no attack will run, before tests are collected: one case then stands for all of `attacks`, as most take time."""
+    _all_attacks[:] = [False]
+
+
 def attacks(cases: Iterable[Any]) -> list[Any]:
     """Returns cases of a parametrised test, tuples where it has several arguments, for the attacks alone."""
-    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.attack) for case in cases]
+    some = itertools.islice(cases, None if _all_attacks[0] else 1)
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.attack) for case in some]
 
 
 def in_the_suite(some: Collection[Any], cases: Iterable[Any]) -> list[Any]:
     """Returns cases of which all but some are for the attacks alone."""
+    cases = [*cases]
+    if not _all_attacks[0]:
+        return [*(case for case in cases if case in some), *attacks(case for case in cases if case not in some)]
     return [each for case in cases for each in ([case] if case in some else attacks([case]))]
 
 
