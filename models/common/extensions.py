@@ -41,13 +41,13 @@ _STANDARD = "sim.studies.ride.kinds.standard"
 _FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
     "part": {  # a class, see `models.parts.part`
-        "stop": "models.parts.stop:Stops",
+        "stop": "models.parts.stops.part:Stops",
         "spring": "models.parts.spring:SpringCurve",
         "damper": "models.parts.damper:DamperCurve",
         "surface damper": "models.parts.surface_damper:SurfaceDamper",
         "adjustable damper": "models.parts.adjustable:Adjustable",
         "actuator": "models.parts.actuator:Actuator",
-        "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
+        "hydraulic_stop": "models.parts.stops.hydraulic_stop:HydraulicStop",
         "gas_spring": "models.parts.elements.gas_spring:GasSpring",
         "maxwell": "models.parts.elements.maxwell:Maxwell",
         "inerter": "models.parts.elements.inerter:Inerter",
@@ -77,7 +77,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "curves in files": "models.characteristics.curve_reading",
         "measured loops": "models.characteristics.measured_loop",
         "motion ratios over travel": "models.characteristics.ratio_table",
-        "stops": "models.characteristics.stops",
+        "stops": "models.parts.stops.stop",
         "surfaces": "models.characteristics.surface",
         "measured logs": "models.common.logs.measured_log",
         "editing of TOML": "models.common.toml_edit",

@@ -7,13 +7,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from models.characteristics.stops import holds, places_of
 from models.common.errors import InputError, alike, error_in, list_names, short_repr
 from models.common.schema import SI, ListedValues, Section, Text, keys, read
 from models.kinds.kind import Suspension
 from models.kinds.signals import Signal
 from models.parts.part import Part, Straight, state_signals
 from models.parts.registry import PARTS, part_class
+from models.parts.stops.stop import holds, places_of
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ A number is remarked if it is about 30 times what is usual, or a thirtieth. Mist
 from collections.abc import Iterator
 
 from models.characteristics.curve import ForceCurve
-from models.characteristics.stops import Stop, StopTable
+from models.parts.stops.stop import Stop, StopTable
 
 WEAKEST, FIRMEST = 0.01, 10.0  # damping ratio of a measured damper
 FASTEST = 5.0  # m/s: a table beyond it is of a firm damper, or in inches

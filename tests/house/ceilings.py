@@ -54,9 +54,9 @@ curves of dampers and springs, statistical linearisation       3203   1922    16
     sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
     tests/*/test_{damper_diagram,sharp_knots,statistical_linearisation}.py docs/how-to/springs-and-dampers.md
-bump stops                                                      573    166      0
-    models/characteristics/stop*.py models/parts/stop.py sim/runs/stops.py tests/models/test_stops.py
-parts of a suspension                                          2133   1916      0
+bump stops                                                      618    166      0
+    models/parts/stops/* sim/runs/stops.py tests/models/test_stops.py
+parts of a suspension                                          2089   1922      0
     models/parts/{__init__,actuator,element,native,part,registry}.py models/vehicle/suspension_forces.py
     models/kinds/at_wheels.py sim/drive/part_steps.py tests/models/test_parts.py tests/sim/test_part_steps.py
     tests/support/mechanism.py tests/house/test_removal.py models/parts/elements/*.py models/parts/settable.py

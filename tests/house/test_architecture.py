@@ -107,13 +107,13 @@ REACHES = {
 # The core: the paper's two steps with their certificate, three cars, bump and random roads, one loop in MuJoCo, comparison and
 # logs. It imports itself alone, and knows all else by its name in `models.common.extensions`.
 CORE = {  # package -> its modules that are core
-    "models.characteristics": "stop_section",
     "models.common": "arrays checks cli command errors extensions files lazy printed schema threads units",
     "models.document": "document field figure outputs text",
     "models": "full_car half_car quarter_car",
     "models.kinds": "at_wheels car kind linear_model links plausibility rigid_body rigid_motion signals strut_and_tyre",
     "models.laws": "combinations design_methods design_request filter law linear",
     "models.parts": "part",
+    "models.parts.stops": "section",
     "models.roads": "iso8608 road spectrum",
     "models.vehicle": "controllers limits_and_implementation mjcf names sections suspension_forces vehicle",
     "sim": "bump",

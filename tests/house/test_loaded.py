@@ -21,7 +21,7 @@ HEAVY = {
 # Of each command: how many of our modules it may load, packages among them, and what of the above.
 # `sim.observers.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel of `rigid_body`.
 LOADED = {
-    "synth --json": (104, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
+    "synth --json": (105, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
     "sim.bump --controller I --duration 0.5 --logs DIR": (149, {"google", "mcap", "mujoco", "pandas", "pyarrow", "rerun"}),
     "sim.bump --controller I --no-logs --json": (132, {"mujoco"}),
     "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (134, {"mujoco"}),

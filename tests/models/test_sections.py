@@ -10,7 +10,6 @@ import pytest
 from models.characteristics.adjustable_range import ActuatorSection
 from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.characteristics.ratio_table import RatioSection
-from models.characteristics.stop_section import StopSection
 from models.common.schema import (
     SI,
     AnyTable,
@@ -31,6 +30,7 @@ from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
 from models.parts.element import PartSite, element_kinds
+from models.parts.stops.section import StopSection
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
