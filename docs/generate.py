@@ -40,7 +40,7 @@ from models.laws.goals import BOUNDS, Minimise
 from models.laws.law_structure import PidSection
 from models.parts.element import PartSite, element_kinds
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
+from models.roads.loads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.profile_file import TableSettings

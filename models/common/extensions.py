@@ -98,7 +98,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "parts": "models.parts.registry",
         "settable parts": "models.parts.settable",
         "roads by name": "models.roads.choice",
-        "loads by name": "models.roads.load_choice",
+        "loads by name": "models.roads.loads.choice",
         "IRI": "models.roads.iri",
         "measured roads": "models.roads.profile",
         "rigs": "models.roads.rig",

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from models.document.document import Table
     from models.document.figure import Figure
     from models.document.page import Page
-    from models.roads.load import Load
+    from models.roads.loads.load import Load
     from models.vehicle.vehicle import Vehicle
     from sim.report.page import Report
     from sim.report.processes import Processes
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.page import check_page
     from models.document.picture import check_drawing
-    from models.roads.load_choice import choose_load
+    from models.roads.loads.choice import choose_load
     from models.vehicle.names import named_files
     from sim.report.page import record
     from sim.report.processes import Processes, processes

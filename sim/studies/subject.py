@@ -8,7 +8,7 @@ from pathlib import Path
 from models.common.arrays import Array
 from models.document.field import Field
 from models.document.figure import Style, styles
-from models.roads.load import Load
+from models.roads.loads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle

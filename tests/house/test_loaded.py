@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from models.roads.load import LOADS
+from models.roads.loads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.vehicle.names import LOAD_KINDS, ROAD_KINDS
 from sim.__main__ import COMMANDS

@@ -18,9 +18,9 @@ from models.kinds.rigid_motion import SHORTEST, STRUT
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
-from models.roads.load_choice import History, choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import History, choose_load
+from models.roads.loads.load import LOADS
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.roads.road import Bump, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits

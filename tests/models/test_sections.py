@@ -33,8 +33,8 @@ from models.parts.element import PartSite, element_kinds
 from models.parts.stops.section import StopSection
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
-from models.roads.load_choice import choose_load
+from models.roads.loads.choice import choose_load
+from models.roads.loads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings

@@ -8,8 +8,8 @@ import pytest
 
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import Lift
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Lift
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.sampled_response import largest_timestep

@@ -14,7 +14,7 @@ import pytest
 from models.common.errors import InputError
 from models.kinds.kind import GRAVITY
 from models.roads.choice import choose_road
-from models.roads.load_choice import choose_load
+from models.roads.loads.choice import choose_load
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_model, build_spec
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle

@@ -12,8 +12,8 @@ from models.common.errors import InputError
 from models.common.printed import percent
 from models.document.figure import Classes
 from models.kinds.kind import MOST_SQUEEZE
-from models.roads.load import Brake
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Brake
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle

@@ -11,9 +11,9 @@ from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, drawn_indices
 from models.kinds.links import left_out
-from models.roads.load import Load
-from models.roads.load_choice import choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import choose_load
+from models.roads.loads.load import Load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.document.document import Document
     from models.document.figure import Figure
-    from models.roads.load import Load
+    from models.roads.loads.load import Load
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
@@ -195,7 +195,7 @@ def _map_of(request: StudyRequest) -> "tuple[list[Bump], Array, tuple[Load, ...]
     Raises:
         InputError: bad axes or loads, or an axis that another option sets, too.
     """
-    from models.roads.load_choice import choose_load
+    from models.roads.loads.choice import choose_load
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
 
