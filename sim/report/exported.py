@@ -17,7 +17,7 @@ def exported_section(scope: Subject) -> Document:
     assert scope.exported is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)
     (run,) = run_controllers(scope.vehicle, [scope.exported], scope.road, time)
-    effect, code = run.prediction.code_effect, scope.exported.code
+    effect, code = run.agreement.code_effect, scope.exported.code
     assert effect is not None, "code drives the run"
     law, how = code.law, f"every {1e3 * code.law.period:g} ms" if code.law.period is not None else "at any period"
     rows = [

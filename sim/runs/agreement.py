@@ -215,12 +215,13 @@ class Agreement(ShownResult):
         return self.steps is not None and self.steps.equations_invalid and self.steps.until == self.until
 
 
-def compare(prediction: Prediction, recording: Recording) -> Agreement:
+def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffect | None" = None) -> Agreement:
     """Returns the verdict on one run of MuJoCo.
 
     Args:
         prediction: linear responses of the run.
         recording: the run.
+        code_effect: difference of exported code from the law, or None without such code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
@@ -242,7 +243,7 @@ def compare(prediction: Prediction, recording: Recording) -> Agreement:
     if not prediction.replayed and (compare_commands := observer("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)
     linear = LinearComparison(prediction, physics, until)
-    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, prediction.code_effect)
+    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, code_effect)
 
 
 def _passes_through(vehicle: Vehicle, physics: Response) -> bool:

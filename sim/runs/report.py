@@ -155,8 +155,8 @@ RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infini
         ),
         _decay,
         code_difference=lambda run: (
-            FEATURES.load("effect of exported code").DIFFERENCES(run.prediction.code_effect)
-            if run.prediction.code_effect
+            FEATURES.load("effect of exported code").DIFFERENCES(run.agreement.code_effect)
+            if run.agreement.code_effect
             else OMITTED_KEY
         ),
         margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED_KEY,
@@ -476,7 +476,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     Args:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
-    code, until = run.prediction.code_effect, run.agreement.until
+    code, until = run.agreement.code_effect, run.agreement.until
     ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(
@@ -490,7 +490,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
 
 def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict; see `reasons`."""
-    controller, code = run.controller, run.prediction.code_effect
+    controller, code = run.controller, run.agreement.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)

@@ -34,6 +34,7 @@ from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
+    from sim.runs.code_effect import CodeEffect
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
@@ -151,9 +152,9 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
         predictions: predictions over the same sample times, for vehicles of the same type.
         recordings: the runs.
     """
-    predictions = _with_code_effects(predictions, recordings)
-    pairs = zip(predictions, recordings, strict=True)
-    runs = [Run(prediction, recording.response, compare(prediction, recording)) for prediction, recording in pairs]
+    effects = _code_effects(predictions, recordings)
+    pairs = enumerate(zip(predictions, recordings, strict=True))
+    runs = [Run(foreseen, made.response, compare(foreseen, made, effects.get(i))) for i, (foreseen, made) in pairs]
     unknown = [
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
@@ -171,21 +172,20 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
     return runs
 
 
-def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> Sequence[Prediction]:
-    """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
+def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> "dict[int, CodeEffect]":
+    """Returns the effects of exported code on the runs that it drives, by their index; laws themselves drive other runs here."""
     coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
-        return predictions
+        return {}
     ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
     cases = [Case(one.vehicle, one.controller, one.road, input=one.input) for one in ours]
-    made, whole = record(cases, predictions[0].time), list(predictions)
+    made, effects = record(cases, predictions[0].time), {}
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
         effect_of = FEATURES.load("effect of exported code").code_effect
-        effect = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
-        whole[i] = replace(one, code_effect=effect)
-    return whole
+        effects[i] = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
+    return effects
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:

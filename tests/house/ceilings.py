@@ -157,7 +157,7 @@ MuJoCo loop                                                    2909   1098     1
 linear responses                                                780    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
     tests/synth/test_laws.py
-runs, verdict, their text                                      2949   1049     61
+runs, verdict, their text                                      2943   1049     61
     sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py

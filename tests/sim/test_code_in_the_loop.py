@@ -92,7 +92,7 @@ def test_what_the_code_changes_is_measured(numbers):
     driver = coded(vehicle, law, numbers, {"suspension_deflection": 0.2, "sprung_velocity": 2.0})
     (run,) = run_controllers(vehicle, [driver], on.road, on.time)
     ours, code = (simulate([one], [on]).response.run(0) for one in (law, driver))
-    effect = run.prediction.code_effect
+    effect = run.agreement.code_effect
     assert effect is not None
     for name in vehicle.linear_model.outputs:
         apart = np.abs(code[name] - ours[name])
@@ -123,7 +123,7 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "exceeds its range on this road, and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *(one.text for one in reasons(run))]))
+        assert words in prose(" ".join([*code_notes(run.agreement.code_effect, vehicle), *(one.text for one in reasons(run))]))
 
 
 @pytest.fixture(scope="module")
