@@ -12,10 +12,10 @@ from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.text import names_text
 from sim.command.road_options import end_lines
+from sim.linear.prediction import LINEAR, NONLINEAR
 from sim.observers.results import DIFFERENCE, WHEN
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
-from sim.runs.prediction import LINEAR, NONLINEAR
 from sim.runs.report import SIZES, energy_table, run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, history_figure

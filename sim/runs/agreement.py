@@ -32,11 +32,11 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, end_times
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction
 from sim.linear.rounding import effect_on_states, roundings
 from sim.observers.recorder import Recording, from_steady
 from sim.observers.registry import observer
 from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreement
-from sim.runs.prediction import Prediction
 
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect

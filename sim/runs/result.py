@@ -12,9 +12,9 @@ from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, broken_by
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction
 from sim.observers.results import Energy
 from sim.runs.agreement import Agreement
-from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController
 
 COARSE = "the timestep is too coarse for accurate numbers"

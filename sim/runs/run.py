@@ -22,12 +22,12 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.regime import FLAT
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction, predict_run
 from sim.linear.sampled_response import largest_timestep
 from sim.observers.recorder import Recording, record
 from sim.observers.registry import observer
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
-from sim.runs.prediction import Prediction, predict_run
 from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller

@@ -154,11 +154,11 @@ MuJoCo loop                                                    2909   1098     1
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                                780    416      0
-    sim/linear/{__init__,forced_response,frequency_response,linear_motion,rounding,sampled_response}.py tests/support/analysed.py
-    tests/synth/test_laws.py
-runs, verdict, their text                                      2943   1049     61
-    sim/runs/{__init__,agreement,by_name,decay,prediction,re*,run,signal_table,start,time_histories}.py
+linear responses                                                974    416      0
+    sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,rounding,sampled_response}.py
+    tests/support/analysed.py tests/synth/test_laws.py
+runs, verdict, their text                                      2749   1049     61
+    sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md

@@ -64,7 +64,7 @@ ROOMS = {
     "sim.observers": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.plant "
     "synth.controller sim.drive sim.linear",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
-    "models.roads synth.plant synth.controller synth.vehicle sim.drive sim.linear sim.observers",
+    "models.roads synth.controller synth.vehicle sim.drive sim.linear sim.observers",
     "sim.recording": "models.document models.kinds models.vehicle models.roads synth.controller sim.drive sim.observers sim.runs",
     "sim.studies": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.plant synth.analysis synth.controller synth.design synth.vehicle synth.command sim.drive sim.linear "
@@ -120,11 +120,11 @@ CORE = {  # package -> its modules that are core
     "sim.command": "comparison driving road_options",
     "sim.drive": "actuators case computer drive driver jumps loop recursion regime response sensor_readout",
     "sim.drive.drivers": "linear registry",
-    "sim.linear": "linear_motion outputs rounding sampled_response",
+    "sim.linear": "linear_motion outputs prediction rounding sampled_response",
     "sim.observers": "commands energy recorder registry results steps",
     "sim.recording": "files foxglove_layout foxglove_scene mcap_writer pages rerun_contents rerun_writer run_log run_records "
     "scene",
-    "sim.runs": "agreement prediction report result run",
+    "sim.runs": "agreement report result run",
     "sim.studies.ride.kinds": "standard",
     "sim.studies.ride": "metrics registry standing weighting",
     "synth.analysis": "bounding certificate norm rigorous specification stability",

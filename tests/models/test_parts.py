@@ -36,8 +36,8 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive.regime import departures
 from sim.inspect.__main__ import main as inspect
+from sim.linear.prediction import predict_run
 from sim.observers.recorder import Recording
-from sim.runs.prediction import predict_run
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times, with_energy_balance
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import driver_of

@@ -12,8 +12,8 @@ from models.roads.road import RoadInput
 from sim import run
 from sim.drive.driver import RecordedForces
 from sim.drive.drivers.registry import DRIVERS
+from sim.linear.prediction import predict_run
 from sim.runs.agreement import compare
-from sim.runs.prediction import predict_run
 from sim.runs.report import reasons, verdict
 from sim.runs.run import compare_runs, sample_times, with_energy_balance
 from synth.vehicle.designer import driver_of
