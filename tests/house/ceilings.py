@@ -149,14 +149,14 @@ measured logs beside runs                                       523    318     9
 map of validity                                                1258    369     33
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
-MuJoCo loop                                                    2909   1098     18
+MuJoCo loop                                                    2849   1098     18
     sim/drive/{__init__,actuators,case,computer,drive,driver,loop,sensor_readout}.py
     sim/drive/drivers/{__init__,linear,recorded,registry}.py
     sim/observers/*
     tests/*/test_{drivers,energy,hardware,observers,reality,shares}.py docs/explanation/energy-balance.md
-linear responses                                                974    416      0
-    sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,rounding,sampled_response}.py
-    tests/support/analysed.py tests/synth/test_laws.py
+linear responses                                               1068    416      0
+    sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
+    sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
 runs, verdict, their text                                      2749   1049     61
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py

@@ -61,8 +61,8 @@ ROOMS = {
     "sim.drive": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
     "synth.controller",
     "sim.linear": "models.laws models.kinds models.parts models.vehicle models.roads synth.plant synth.controller sim.drive",
-    "sim.observers": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.plant "
-    "synth.controller sim.drive sim.linear",
+    "sim.observers": "models.document models.laws models.kinds models.parts models.vehicle models.roads synth.controller "
+    "sim.drive sim.linear",
     "sim.runs": "models models.document models.laws models.characteristics models.kinds models.parts models.vehicle "
     "models.roads synth.controller synth.vehicle sim.drive sim.linear sim.observers",
     "sim.recording": "models.document models.kinds models.vehicle models.roads synth.controller sim.drive sim.observers sim.runs",
