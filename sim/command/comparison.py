@@ -30,7 +30,7 @@ from synth.controller.report import study_notes
 if TYPE_CHECKING:
     from models.common.logs.measured_log import MeasuredLog
     from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.ride.standing import Score
+    from sim.studies.ride.scores import Score
 
 
 def controllers_of(
@@ -261,7 +261,7 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
     return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
 
 
-def standings_of(
+def scores_of_runs(
     runs: Sequence[Run],
     passive: Response,
     samples: tuple[int, int | None] = (0, None),
@@ -269,7 +269,7 @@ def standings_of(
     without: Sequence[str] = (),
     title: str = "",
 ) -> "list[Score]":
-    """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
+    """Returns the score of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
         samples: first measured sample, and the one after the last; None for the end of the runs.
@@ -278,7 +278,7 @@ def standings_of(
         title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import score_of, strokes_used, without_unsound
+    from sim.studies.ride.scores import score_of, strokes_used, without_unsound
 
     road, (first, end) = runs[0].road, samples
     known: dict[int, Mapping[str, float | None]] = {
@@ -292,7 +292,7 @@ def standings_of(
         for run, part in zip(runs, parts, strict=True)
         if run.physics is not passive
     ]
-    order, standings = [name for name, *_ in rows], []
+    order, scores = [name for name, *_ in rows], []
     for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
         values = known.get(id(response))
         if values is None:
@@ -300,5 +300,5 @@ def standings_of(
             values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
         one = score_of(vehicle, name, values)
         strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
-        standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
-    return without_unsound(standings, [run.controller.name for run in runs if run.controller.growth])
+        scores.append(replace(one, vehicle=title, without=part, strokes=strokes))
+    return without_unsound(scores, [run.controller.name for run in runs if run.controller.growth])

@@ -24,7 +24,7 @@ from sim.command.road_options import end_lines, gaps, starts_later, with_start
 from sim.drive.response import Response
 from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
-from sim.studies.ride.standing import record_of_standings, standing_lines
+from sim.studies.ride.scores import score_lines, scores_record
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
@@ -168,10 +168,10 @@ def drive(
         of_log = partial(lambda title: result(title) | beside, each.title)
         logs.append(comparison.record_command_runs(options, each.vehicle, controllers, each.logged, of_log, aligned))
     outputs = comparison.write_histories(options, shown, where(road), aligned)
-    standings = [
+    scores = [
         one
         for each in driven
-        for one in comparison.standings_of(each.runs, each.passive, samples, each.metrics, each.without, each.title)
+        for one in comparison.scores_of_runs(each.runs, each.passive, samples, each.metrics, each.without, each.title)
     ]
     if options.json:
         results = [result(each.title) for each in driven]
@@ -179,7 +179,7 @@ def drive(
         if left := sorted({name for one in results for name in one.get("left_out", ())}):
             whole["left_out"] = left
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": record_of_standings(standings), "unstable": unstable, **output_paths(outputs), "logs": paths}
+        last = {"compared": scores_record(scores), "unstable": unstable, **output_paths(outputs), "logs": paths}
         print_json(whole | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
@@ -194,7 +194,7 @@ def drive(
         about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v prints more"
-        lines += ["", *standing_lines(standings, about)]
+        lines += ["", *score_lines(scores, about)]
         if measured is not None:
             lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]

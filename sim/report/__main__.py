@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.names import named_files
     from sim.report.page import record
     from sim.report.processes import Processes, processes
-    from sim.studies.ride.standing import standing_lines
+    from sim.studies.ride.scores import score_lines
 
     check_page()
     if options.gallery:
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             *left,
             *left_out_lines(others),
             "",
-            *standing_lines(result.compared, result.compared_on),
+            *score_lines(result.compared, result.compared_on),
         ]
         if not options.brief:
             said = (
@@ -158,16 +158,16 @@ def _several(
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
-    from sim.studies.ride.standing import record_of_standings, standing_lines
+    from sim.studies.ride.scores import score_lines, scores_record
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
         whole = {title: {**record(result), **output_paths(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
-        print_json({"reports": whole, "compared": record_of_standings(compared), **left})
+        print_json({"reports": whole, "compared": scores_record(compared), **left})
     else:
         lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
-        say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
+        say(["reports", *lines, "", *score_lines(compared, next(iter(results.values())).compared_on)])
     return 1 if undesigned else 0
 
 

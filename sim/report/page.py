@@ -9,13 +9,13 @@ from models.document.document import Document, Table
 from models.document.page import Page
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
-from sim.command.comparison import standings_of
+from sim.command.comparison import scores_of_runs
 from sim.report.processes import Name
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
 from sim.studies.registry import study
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.standing import Score, headline, record_of_standings, score_of, some_names, without_unsound
+from sim.studies.ride.scores import Score, headline, score_of, scores_record, some_names, without_unsound
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
@@ -30,7 +30,7 @@ class Report:
 
     Attributes:
         page: whole page.
-        compared: the controllers' standings, the passive one first.
+        compared: the controllers' scores, the passive one first.
         compared_on: roads of the comparison, in words.
     """
 
@@ -52,7 +52,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})
     for (name, subject), result in answers().items():
         results[name][subject] = result
-    over_roads = [one for _, standings in results.get("ride", {}).values() for one in standings] if scope.own_road is None else []
+    over_roads = [one for _, scores in results.get("ride", {}).values() for one in scores] if scope.own_road is None else []
     compared, when = _compare_controllers(scope, over_roads), measured_words(scope.time, scope.samples)
     ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
     sections = [trust_section(scope, runs, ends, scope.disagreeing)]
@@ -82,12 +82,12 @@ def stages(scope: Subject) -> tuple[str, ...]:
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
+    """Returns the score of every controller over random roads or, without these, in the runs; passive first.
 
     A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
     """
     if not over_roads:
-        return standings_of(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.measured)
+        return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.measured)
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
     unsound = [one.name for one in scope.driven if one.growth]
@@ -147,7 +147,7 @@ def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """Returns answer, tables and standings as a JSON object."""
+    """Returns answer, tables and scores as a JSON object."""
     page = report.page
     return {
         "title": page.title,
@@ -156,5 +156,5 @@ def record(report: Report) -> dict[str, Any]:
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": {one.name: one.records for one in page.whole.tables},
-        "compared": record_of_standings(report.compared),
+        "compared": scores_record(report.compared),
     }

@@ -15,8 +15,8 @@ from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, end
 from sim.observers.results import WHEN
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
-from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Score, best, compared_table, headline
-from sim.studies.ride.standing import digits as of_table
+from sim.studies.ride.scores import CHANGES, COLUMNS, FIELDS, Score, best, compared_table, headline
+from sim.studies.ride.scores import digits as of_table
 from sim.studies.subject import AVERAGE, NAME, SEEDS, SPEED, Subject
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
@@ -32,7 +32,7 @@ def first_screen(
     """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
 
     Args:
-        compared: the controllers' standings, over the roads of `compared_on`.
+        compared: the controllers' scores, over the roads of `compared_on`.
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """

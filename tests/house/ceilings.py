@@ -142,8 +142,8 @@ frequency, sweep                                               1924    602     3
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             3139   1276      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
-    sim/studies/ride/{kinds/*,loads,over_roads,registry,run_metrics,standing,step_response,weighting}.py
-    tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
+    sim/studies/ride/{kinds/*,loads,over_roads,registry,run_metrics,scores,step_response,weighting}.py
+    tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
 map of validity                                                1258    369     33

@@ -19,7 +19,7 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
-from sim.studies.ride.standing import digits
+from sim.studies.ride.scores import digits
 from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_words, record
 from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design

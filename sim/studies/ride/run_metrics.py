@@ -31,7 +31,7 @@ from sim.studies.ride.expected import (
     settling_time,
 )
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
-from sim.studies.ride.standing import digits
+from sim.studies.ride.scores import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_words
 from sim.studies.ride.statistical_linearisation import record as of_line
 from synth.controller.controller import AnyController

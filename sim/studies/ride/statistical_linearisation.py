@@ -47,7 +47,7 @@ from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.studies.ride.quadrature import loop_poles, power_of
-from sim.studies.ride.standing import digits
+from sim.studies.ride.scores import digits
 from synth.controller.controller import Controller
 from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 from synth.controller.loop_of import loop_of, radius

@@ -85,9 +85,9 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
     return used
 
 
-def without_unsound(standings: Iterable[Score], unsound: Collection[str]) -> list[Score]:
+def without_unsound(scores: Iterable[Score], unsound: Collection[str]) -> list[Score]:
     """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
-    return [replace(one, sound=False) if one.controller in unsound else one for one in standings]
+    return [replace(one, sound=False) if one.controller in unsound else one for one in scores]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
@@ -113,7 +113,7 @@ def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | No
     return Score(controller, largest)
 
 
-def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
+def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
     """Returns a controller's row over several runs; each metric is an array with a number for every run.
 
     Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
@@ -123,13 +123,13 @@ def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, 
     return score_of(vehicle, controller, over)
 
 
-def best(standings: Iterable[Score]) -> dict[str, list[str]]:
+def best(scores: Iterable[Score]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
 
     Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
     """
     names: dict[str, list[str]] = {}
-    sound = [one for one in standings if one.sound]
+    sound = [one for one in scores if one.sound]
     for quantity in FIELDS:
         compared = [one for one in sound if quantity not in FORCES or one.controller != PASSIVE]
         values = {one.label: value for one in compared if (value := quantity.value(one)) is not None}
@@ -139,9 +139,9 @@ def best(standings: Iterable[Score]) -> dict[str, list[str]]:
     return names
 
 
-def headline(standings: Sequence[Score]) -> str:
+def headline(scores: Sequence[Score]) -> str:
     """Returns in a line who is best at ride and at road holding."""
-    marked = best(standings)
+    marked = best(scores)
     praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
     said: dict[tuple[str, ...], list[str]] = {}
     for (verb, what), names in praised:
@@ -165,45 +165,45 @@ ROW = Record[Score](
 )
 
 
-def record_of_standings(standings: Sequence[Score]) -> dict[str, Any]:
+def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
     """Returns the table as a JSON object, in SI units, with the best of each column."""
-    return {"controllers": [ROW(one) for one in standings], "best": best(standings)}
+    return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
 
 
-def compared_table(standings: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
+def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
     """Returns the comparison of controllers; changes are from passive of the same vehicle.
 
     Args:
         about: the measurement in words.
         more: further columns.
     """
-    passive = {one.vehicle: one for one in standings if one.controller == PASSIVE and not one.without and len(standings) > 1}
-    marked, several = best(standings), any(one.vehicle for one in standings)
+    passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
+    marked, several = best(scores), any(one.vehicle for one in scores)
     columns = [Field[Score]("vehicle", lambda one: one.vehicle)] if several else []
     columns.append(Field("controller", lambda one: one.name))
-    there = [one for one in FIELDS if {one.value(each) for each in standings} - {None, *([0.0] if one in FORCES else [])}]
+    there = [one for one in FIELDS if {one.value(each) for each in scores} - {None, *([0.0] if one in FORCES else [])}]
     strokes = ""
     for quantity in there:
-        first, *others = _at_points(quantity, standings)
+        first, *others = _at_points(quantity, scores)
         shown = [first]
         if COLUMNS[quantity.key].by_side:
-            shown, strokes = _travel(quantity, standings)
+            shown, strokes = _travel(quantity, scores)
         columns += [_mark_best(one, marked[quantity.key]) for one in shown]
         if quantity in CHANGES and passive:
             columns.append(_change(quantity, passive))
         columns += others
-    unsound = ", ".join(one.label for one in standings if not one.sound)
+    unsound = ", ".join(one.label for one in scores if not one.sound)
     star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
     legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
     caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
     if not there:
         caption = "No controller can be compared, because each has a run that broke off."
-    return Table.of("compared", caption, (*columns, *more), standings, words=1 + several)
+    return Table.of("compared", caption, (*columns, *more), scores, words=1 + several)
 
 
-def standing_lines(standings: Sequence[Score], about: str) -> list[str]:
+def score_lines(scores: Sequence[Score], about: str) -> list[str]:
     """Returns the comparison for a terminal, with its caption below."""
-    one = compared_table(standings, about)
+    one = compared_table(scores, about)
     return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
 
 
@@ -225,14 +225,14 @@ def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score
     return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
 
 
-def _at_points(quantity: Field[Score], standings: Sequence[Score]) -> list[Field[Score]]:
+def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
     """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
 
     If there are more than `MOST_POINTS` other points, their column has the largest value.
     """
     begin = f"{quantity.key}_"
-    points = dict.fromkeys(key for one in standings for key in one.values if key not in COLUMNS and key.startswith(begin))
-    same = [key for key in points if all(one.values.get(key) == quantity.value(one) for one in standings)]
+    points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
+    same = [key for key in points if all(one.values.get(key) == quantity.value(one) for one in scores)]
     names = {key: key.removeprefix(begin).replace("_acceleration", "").replace("_", " ") for key in points}
     labels = {key: f"{quantity.label}, {name}" for key, name in names.items()}
     first = replace(quantity, label=labels[same[0]] if same else quantity.label)
@@ -243,12 +243,12 @@ def _at_points(quantity: Field[Score], standings: Sequence[Score]) -> list[Field
     return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
 
 
-def _travel(quantity: Field[Score], standings: Sequence[Score]) -> tuple[list[Field[Score]], str]:
+def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
     """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
 
     A side is in mm if all runs have the same strokes, else in per cent of its stroke.
     """
-    whole = [one for one in standings if quantity.value(one) is not None]
+    whole = [one for one in scores if quantity.value(one) is not None]
     sides = [side for side in SIDES if any(side in one.strokes for one in whole)]
     if not all(one.strokes for one in whole) or not sides:
         return [quantity], ""
