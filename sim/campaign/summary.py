@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import as_name, percent
+from models.common.printed import as_name, percent, three_digits
 from models.document.document import Block, Document, Table, notes
 from models.document.field import Field
 from models.document.figure import OTHERS, Curve, Figure, Panel, styles
@@ -27,16 +27,8 @@ from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import ROOT_MEAN_SQUARE, Metric, over_runs
 from sim.studies.ride.registry import metric_classes
-from sim.studies.ride.scores import (
-    FIELDS,
-    FORCES,
-    Score,
-    columns_of,
-    digits,
-    headline,
-    score_lines,
-    score_over_runs,
-)
+from sim.studies.ride.score_table import headline, score_lines
+from sim.studies.ride.scores import FIELDS, FORCES, Score, columns_of, score_over_runs
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
@@ -224,7 +216,7 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
     if not (1 < len(by_place) <= SEEN and len(names) <= SEEN):
         return []
     place = Field[Rides]("ride, rms [m/s²]", lambda row: row[0])
-    columns = (place, *(Field[Rides](name, lambda row, name=name: row[1].get(name), digits) for name in names))
+    columns = (place, *(Field[Rides](name, lambda row, name=name: row[1].get(name), three_digits) for name in names))
     return [Table.of("ride", "Ride on each road.", columns, by_place.items())]
 
 

@@ -24,7 +24,8 @@ from sim.command.road_options import end_lines, gaps, starts_later, with_start
 from sim.drive.response import Response
 from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
-from sim.studies.ride.scores import score_lines, scores_record
+from sim.studies.ride.score_table import score_lines, scores_record
+from sim.studies.ride.scores import scores_of_runs
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
@@ -169,9 +170,7 @@ def drive(
         logs.append(comparison.record_command_runs(options, each.vehicle, controllers, each.logged, of_log, aligned))
     outputs = comparison.write_histories(options, shown, where(road), aligned)
     scores = [
-        one
-        for each in driven
-        for one in comparison.scores_of_runs(each.runs, each.passive, samples, each.metrics, each.without, each.title)
+        one for each in driven for one in scores_of_runs(each.runs, each.passive, samples, each.metrics, each.without, each.title)
     ]
     if options.json:
         results = [result(each.title) for each in driven]

@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.names import named_files
     from sim.report.page import record
     from sim.report.processes import Processes, processes
-    from sim.studies.ride.scores import score_lines
+    from sim.studies.ride.score_table import score_lines
 
     check_page()
     if options.gallery:
@@ -158,7 +158,7 @@ def _several(
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
-    from sim.studies.ride.scores import score_lines, scores_record
+    from sim.studies.ride.score_table import score_lines, scores_record
 
     compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:

@@ -9,13 +9,13 @@ from models.document.document import Document, Table
 from models.document.page import Page
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
-from sim.command.comparison import scores_of_runs
 from sim.report.processes import Name
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
 from sim.studies.registry import study
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.scores import Score, headline, score_of, scores_record, some_names, without_unsound
+from sim.studies.ride.score_table import headline, scores_record, some_names
+from sim.studies.ride.scores import Score, score_of, scores_of_runs, without_unsound
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers

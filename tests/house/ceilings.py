@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3158   2218      0
+what all commands share: files, options, checks, tables of numbers   3163   2218      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -47,7 +47,7 @@ semi-active dampers and laws                                   1301    722    20
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3203   1922    161
+curves of dampers and springs, statistical linearisation       3204   1922    161
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
     models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
@@ -128,7 +128,7 @@ recordings: MCAP, Foxglove, Rerun                              2194   1142     4
 page and figures                                               3545   1380     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2763   1799    205
+campaigns                                                      2755   1799    205
     sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 studies: one noun for commands and the page                     434      0      0
     sim/command/study.py sim/studies/{registry,study,subject}.py
@@ -140,9 +140,9 @@ margins in physics                                             1979    823     7
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
 frequency, sweep                                               1924    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
-ride metrics and their expectation                             3139   1276      0
+ride metrics and their expectation                             3191   1277      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
-    sim/studies/ride/{kinds/*,loads,over_roads,registry,run_metrics,scores,step_response,weighting}.py
+    sim/studies/ride/{kinds/*,loads,over_roads,registry,run_metrics,score*,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
@@ -162,7 +162,7 @@ runs, verdict, their text                                      2749   1049     6
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py
     docs/explanation/{agrees-and-ended,not-modelled}.md
-commands that drive                                            1093    978    428
+commands that drive                                            1043    978    429
     sim/{README.md,__init__.py,__main__.py,bump.py} sim/drive/__main__.py
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py

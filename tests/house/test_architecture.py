@@ -126,7 +126,7 @@ CORE = {  # package -> its modules that are core
     "scene",
     "sim.runs": "agreement report result run",
     "sim.studies.ride.kinds": "standard",
-    "sim.studies.ride": "metrics registry scores weighting",
+    "sim.studies.ride": "metrics registry score_table scores weighting",
     "synth.analysis": "bounding certificate norm rigorous specification stability",
     "synth.controller": "controller disk_margin law_margins loop_of problem report",
     "synth.design": "methods problem two_step",

@@ -6,7 +6,8 @@ import numpy as np
 
 from models.vehicle.vehicle import read_vehicle
 from sim import bump
-from sim.studies.ride.scores import FIELDS, KEYS, Score, best, compared_table, score_lines, score_of
+from sim.studies.ride.score_table import compared_table, score_lines
+from sim.studies.ride.scores import FIELDS, KEYS, Score, best, score_of
 from tests.support.commands import answer
 
 RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs", "--duration", "1"]

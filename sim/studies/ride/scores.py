@@ -1,24 +1,27 @@
-"""Comparison of controllers, a row each: ride, travel, tyre load and force, with the change from passive, and the best marked.
+"""Scores of controllers in a comparison: ride, travel, tyre load and force, and the best of each.
 
-For a vehicle with several wheels, suspensions or actuators, each column has the worst one.
+For a vehicle with several wheels, suspensions or actuators, each value is that of the worst one.
 """
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
-from models.common.printed import GAP, wrap_text
-from models.document.document import Table
-from models.document.field import Field, Record, if_any
-from models.document.text import BEST, CHANGE, names_text, table_lines
+from models.common.printed import three_digits
+from models.document.field import Field
 from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
+from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
-from sim.studies.ride.metrics import compared_metrics, metrics_of, over_runs
+from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, over_runs
 from sim.studies.ride.registry import metric_classes
+
+if TYPE_CHECKING:
+    from sim.runs.run import Run
+    from sim.studies.ride.run_metrics import RunMetrics
 
 
 @dataclass(frozen=True)
@@ -53,24 +56,14 @@ class Score:
         return f"{self.vehicle}:{self.name}".removeprefix(":")
 
 
-def digits(value: float) -> str:
-    """Returns a number with three significant digits, or more if it has more before the point."""
-    return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
-
-
-def _of(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
-    return Field(label, lambda one: one.values.get(key), digits, scale, key, unit)
+def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
+    """Returns the field of a value."""
+    return Field(label, lambda one: one.values.get(key), three_digits, scale, key, unit)
 
 
 COLUMNS = {name: one.column for name, one in metric_classes().items() if one.column}
-FIELDS = tuple(_of(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
+FIELDS = tuple(score_field(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
 FORCES = tuple(one for one in FIELDS if metric_classes()[one.key].effort)  # passive has none
-STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
-USED_TRAVEL = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
-SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
-CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # of which the change from passive is shown
-MANY = 4  # names in a sentence
-MOST_POINTS = 2  # columns of ride at other points than those with a person
 KEYS = tuple(one.key for one in FIELDS)
 
 
@@ -139,125 +132,41 @@ def best(scores: Iterable[Score]) -> dict[str, list[str]]:
     return names
 
 
-def headline(scores: Sequence[Score]) -> str:
-    """Returns in a line who is best at ride and at road holding."""
-    marked = best(scores)
-    praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
-    said: dict[tuple[str, ...], list[str]] = {}
-    for (verb, what), names in praised:
-        said.setdefault(tuple(names), []).append(f"{verb}{'s' * (len(names) == 1)}{what}")
-    texts = [f"{some_names(names)} {' and '.join(verbs)} best" for names, verbs in said.items()]
-    return ", ".join(texts) or "All controllers have the same values"
-
-
-def some_names(names: Sequence[str]) -> str:
-    """Returns names of controllers in a sentence, or their number if they are many."""
-    return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
-
-
-ROW = Record[Score](
-    Record(
-        controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
-    ),
-    *FIELDS,
-    lambda one: {key: value for key, value in one.values.items() if key not in COLUMNS},
-    strokes=if_any(lambda one: {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}),
-)
-
-
-def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
-    """Returns the table as a JSON object, in SI units, with the best of each column."""
-    return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
-
-
-def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
-    """Returns the comparison of controllers; changes are from passive of the same vehicle.
+def scores_of_runs(
+    runs: "Sequence[Run]",
+    passive: Response,
+    samples: tuple[int, int | None] = (0, None),
+    measured: "Sequence[RunMetrics]" = (),
+    without: Sequence[str] = (),
+    title: str = "",
+) -> list[Score]:
+    """Returns the score of every controller, passive first, and each run without a part after the implemented loop.
 
     Args:
-        about: the measurement in words.
-        more: further columns.
+        samples: first measured sample, and the one after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, if known.
+        without: part of the vehicle that each run omits; empty if no run omits a part.
+        title: title of the vehicle, among several.
     """
-    passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
-    marked, several = best(scores), any(one.vehicle for one in scores)
-    columns = [Field[Score]("vehicle", lambda one: one.vehicle)] if several else []
-    columns.append(Field("controller", lambda one: one.name))
-    there = [one for one in FIELDS if {one.value(each) for each in scores} - {None, *([0.0] if one in FORCES else [])}]
-    strokes = ""
-    for quantity in there:
-        first, *others = _at_points(quantity, scores)
-        shown = [first]
-        if COLUMNS[quantity.key].by_side:
-            shown, strokes = _travel(quantity, scores)
-        columns += [_mark_best(one, marked[quantity.key]) for one in shown]
-        if quantity in CHANGES and passive:
-            columns.append(_change(quantity, passive))
-        columns += others
-    unsound = ", ".join(one.label for one in scores if not one.sound)
-    star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
-    legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
-    caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
-    if not there:
-        caption = "No controller can be compared, because each has a run that broke off."
-    return Table.of("compared", caption, (*columns, *more), scores, words=1 + several)
-
-
-def score_lines(scores: Sequence[Score], about: str) -> list[str]:
-    """Returns the comparison for a terminal, with its caption below."""
-    one = compared_table(scores, about)
-    return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
-
-
-def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
-    """Returns the column of a quantity in which those of these names have a mark."""
-    return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
-
-
-def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
-    """Returns the column of changes from passive of the same vehicle, "-" for a missing, zero or equal number."""
-
-    def change(one: Score) -> str | None:
-        value, usual = quantity.value(one), quantity.value(passive[one.vehicle])
-        if not usual or value is None or value == usual:
-            return None
-        share = round(100 * (value / usual - 1))
-        return f"{share:+d}" if share else "0"
-
-    return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
-
-
-def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
-    """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
-
-    If there are more than `MOST_POINTS` other points, their column has the largest value.
-    """
-    begin = f"{quantity.key}_"
-    points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
-    same = [key for key in points if all(one.values.get(key) == quantity.value(one) for one in scores)]
-    names = {key: key.removeprefix(begin).replace("_acceleration", "").replace("_", " ") for key in points}
-    labels = {key: f"{quantity.label}, {name}" for key, name in names.items()}
-    first = replace(quantity, label=labels[same[0]] if same else quantity.label)
-    others = [key for key in points if key not in same]
-    if len(others) <= MOST_POINTS:
-        return [first, *(_of(key, labels[key], quantity.unit, quantity.scale) for key in others)]
-    label = f"{quantity.label}, body"
-    return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
-
-
-def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
-    """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
-
-    A side is in mm if all runs have the same strokes, else in per cent of its stroke.
-    """
-    whole = [one for one in scores if quantity.value(one) is not None]
-    sides = [side for side in SIDES if any(side in one.strokes for one in whole)]
-    if not all(one.strokes for one in whole) or not sides:
-        return [quantity], ""
-    strokes = {side: {one.strokes[side][1] if side in one.strokes else None for one in whole} for side in sides}
-    alike = all(len(some) == 1 for some in strokes.values())
-    of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())
-    used, label = (USED_TRAVEL, "{} travel") if alike else (SHARE_USED, "{} used")
-
-    def of_side(side: str) -> Field[Score]:
-        return used.of(lambda one: one.strokes.get(side), label.format(side))
-
-    return [of_side(side) for side in sides], f"; stroke {of}" if alike else "; used: of the stroke"
+    road, (first, end) = runs[0].road, samples
+    known: dict[int, Mapping[str, float | None]] = {
+        id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
+        for run, of_run in zip(runs, measured, strict=False)
+    }
+    rows = [(PASSIVE, "", runs[0].vehicle, passive)]
+    parts = without or [""] * len(runs)
+    rows += [
+        (run.controller.name, part, run.vehicle, run.physics)
+        for run, part in zip(runs, parts, strict=True)
+        if run.physics is not passive
+    ]
+    order, scores = [name for name, *_ in rows], []
+    for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
+        values = known.get(id(response))
+        if values is None:
+            broken = math.isfinite(response.diverged) or math.isfinite(end_times(vehicle, response)[REGIME_ENDS.index(FLAT)])
+            values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
+        one = score_of(vehicle, name, values)
+        strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
+        scores.append(replace(one, vehicle=title, without=part, strokes=strokes))
+    return without_unsound(scores, [run.controller.name for run in runs if run.controller.growth])
