@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, list_names, short_repr
-from models.common.extensions import FEATURES
+from models.common.extensions import FEATURES, PARTS
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.schema import AnyTable, BySignal, Section, Text, keys, locate_errors, read
 from models.document.document import Document
@@ -590,7 +590,7 @@ class Vehicle(ShownResult):
         if (self.filters or self.sums) and self.integrals:
             FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            FEATURES.load("parts").part_class("adjustable damper").check_measured(entry.name, entry.measured, self)
+            PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import METRICS
 from models.common.printed import as_name, percent, three_digits
 from models.document.document import Block, Document, Table, notes
 from models.document.field import Field
@@ -26,13 +27,12 @@ from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import ROOT_MEAN_SQUARE, Metric, over_runs
-from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.score_table import headline, score_lines
 from sim.studies.ride.scores import FIELDS, FORCES, Score, columns_of, score_over_runs
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
-HEADLINES: tuple[type[Metric], ...] = tuple(one for one in metric_classes().values() if one.headline and not one.effort)
+HEADLINES: tuple[type[Metric], ...] = tuple(one for one in METRICS.load_all().values() if one.headline and not one.effort)
 LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for one in HEADLINES}
 
 

@@ -186,7 +186,6 @@ def _write_report(
     from sim.report.page import report, stages
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
-    from sim.studies.registry import study
     from sim.studies.subject import AMPLITUDE, BUMP_DURATION, Subject
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
@@ -203,8 +202,8 @@ def _write_report(
         raise InputError(f"--{given[0]} needs a road; give --road or --class, or omit --{given[0]}")
     designer, own = Designer(vehicle), {"own_road": road, "road_name": name, "duration": duration}
     scope = Subject(vehicle, designer, (), options.timestep, options.quick, (), options.front, loads, **own)
-    for one in map(study, STUDIES):
-        one.check_page(scope)
+    for study, of_class in STUDIES.load_all().items():
+        of_class(study).check_page(scope)
 
     show("designs")
     controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
@@ -231,11 +230,11 @@ OF_A_VEHICLE = (
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
+    from models.common.extensions import STUDIES
     from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names
-    from sim.studies.registry import study
     from sim.studies.study import StudyRequest
 
     repeated = {
@@ -249,7 +248,8 @@ def _gallery(options: argparse.Namespace) -> int:
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
         check_drawing()
-    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), StudyRequest(argparse.Namespace(name=[]))
+    stage, gallery = Stages(*names(), "the page"), STUDIES.load("gallery")("gallery")
+    request = StudyRequest(argparse.Namespace(name=[]))
     results = gallery.run(request, stage)
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))

@@ -12,7 +12,6 @@ from models.vehicle.sketch import vehicle_sketch
 from sim.report.processes import Name
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
-from sim.studies.registry import study
 from sim.studies.ride.run_metrics import measured_words
 from sim.studies.ride.score_table import headline, scores_record, some_names
 from sim.studies.ride.scores import Score, score_of, scores_of_runs, without_unsound
@@ -56,7 +55,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     compared, when = _compare_controllers(scope, over_roads), measured_words(scope.time, scope.samples)
     ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
     sections = [trust_section(scope, runs, ends, scope.disagreeing)]
-    sections += [section for name in STUDIES for section in study(name).sections(scope, results)]
+    sections += [section for name, one in STUDIES.load_all().items() for section in one(name).sections(scope, results)]
     where = compared_on(scope, compared, any(results.get("ride", {}).values()), when)
     names, kind = some_names([one.name for one in scope.driven]), scope.vehicle.kind.name.replace("_", " ")
     dive = results.get("loads", {}).get("braking", {})
@@ -72,7 +71,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
     """Returns the independent requests of a page, by study and subject, the longest first."""
-    studies = sorted(map(study, STUDIES), key=lambda one: -one.seconds)
+    studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
 

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.common.extensions import OBSERVERS
 from models.document.document import Document
 from models.document.text import ShownResult, facts
 from models.kinds.kind import MOST_SQUEEZE
@@ -35,7 +36,6 @@ from sim.drive.response import Response
 from sim.linear.prediction import Prediction
 from sim.linear.rounding import effect_on_states, roundings
 from sim.observers.recorder import Recording, from_steady
-from sim.observers.registry import observer
 from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreement
 
 if TYPE_CHECKING:
@@ -233,14 +233,14 @@ def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffe
         if foretold < until:
             ended[FLAT.name] = until = foretold
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
-    if (compare_steps := observer("steps")) is not None:
+    if (compare_steps := OBSERVERS.load_if_known("steps")) is not None:
         end = min(ended[FLAT.name], diverged)
         if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
             end = min(end, ended[LIFT_OFF.name], loose)
         steps = compare_steps(road, recording, end, rounding)
         if steps is not None and steps.equations_invalid:
             until = min(until, steps.until)
-    if not prediction.replayed and (compare_commands := observer("commands")) is not None:
+    if not prediction.replayed and (compare_commands := OBSERVERS.load_if_known("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)
     linear = LinearComparison(prediction, physics, until)
     return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, code_effect)

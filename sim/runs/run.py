@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Time
 from models.common.errors import InputError
-from models.common.extensions import FEATURES
+from models.common.extensions import FEATURES, OBSERVERS
 from models.document.document import Block, Document
 from models.document.text import ShownResult, facts
 from models.kinds.plausibility import remarks
@@ -25,7 +25,6 @@ from sim.drive.response import Response
 from sim.linear.prediction import Prediction, predict_run
 from sim.linear.sampled_response import largest_timestep
 from sim.observers.recorder import Recording, record
-from sim.observers.registry import observer
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
 from sim.runs.report import signal_table, verdict
@@ -197,7 +196,7 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         runs: runs over the same sample times, with vehicles of the same type.
         recordings: the same runs with their states.
     """
-    energy: Callable[..., Energy | None] = observer("energy") or (lambda run, until: None)
+    energy: Callable[..., Energy | None] = OBSERVERS.load_if_known("energy") or (lambda run, until: None)
     runs = [
         replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.ended[FLAT.name]))
         for run, one in zip(runs, recordings, strict=True)

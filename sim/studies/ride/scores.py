@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
+from models.common.extensions import METRICS
 from models.common.printed import three_digits
 from models.document.field import Field
 from models.vehicle.names import PASSIVE, variant
@@ -17,7 +18,6 @@ from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, over_runs
-from sim.studies.ride.registry import metric_classes
 
 if TYPE_CHECKING:
     from sim.runs.run import Run
@@ -61,9 +61,9 @@ def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Fie
     return Field(label, lambda one: one.values.get(key), three_digits, scale, key, unit)
 
 
-COLUMNS = {name: one.column for name, one in metric_classes().items() if one.column}
+COLUMNS = {name: one.column for name, one in METRICS.load_all().items() if one.column}
 FIELDS = tuple(score_field(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
-FORCES = tuple(one for one in FIELDS if metric_classes()[one.key].effort)  # passive has none
+FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # passive has none
 KEYS = tuple(one.key for one in FIELDS)
 
 
@@ -91,7 +91,7 @@ def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
     columns: dict[str, tuple[str, ...]] = {}
     for key, metrics in compared_metrics(vehicle).items():
         if key in COLUMNS:
-            kind = metric_classes()[key]
+            kind = METRICS.load(key)
             columns[key] = tuple(one.name for one in metrics)
             columns |= {f"{key}_{source}": (kind(source).name,) for source in kind.shown_apart(vehicle)}
     return columns

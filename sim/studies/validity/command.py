@@ -130,16 +130,17 @@ examples:
         import numpy as np
 
         from sim.drive.regime import END_NAMES
-        from sim.runs.run import run_controllers
+        from sim.runs.run import run_controllers, sample_times
         from sim.studies.validity.map_runs import with_loads
 
-        nearest, used, (_, time, loads) = {}, result.used.max(axis=-1), _map_of(request)
+        time = sample_times(request.vehicle, request.options.duration, request.options.timestep)
+        nearest, used = {}, result.used.max(axis=-1)
         for end in (-1, *range(len(END_NAMES))):
             mine = np.flatnonzero(result.predicted == end)
             if len(mine):
                 i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
                 what = "nothing breaks" if end < 0 else END_NAMES[end]
-                (run,) = run_controllers(request.vehicle, request.controllers, with_loads(result.bumps[i], loads), time)
+                (run,) = run_controllers(request.vehicle, request.controllers, with_loads(result.bumps[i], result.loads), time)
                 nearest[f"{result.controller.name}_{what}".replace(" ", "_").replace("-", "_")] = run
         return nearest
 
