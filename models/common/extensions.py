@@ -105,6 +105,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "preview": "models.laws.preview",
         "damper ranges": "models.parts.damper_range",
         "parts in files": "models.parts.element",
+        "curves of suspensions": "models.parts.curves",
         "lines of parts": "models.parts.lines",
         "parts native to MuJoCo": "models.parts.native",
         "doubts about parts": "models.parts.plausibility",

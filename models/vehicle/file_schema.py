@@ -16,7 +16,7 @@ from models.parts.stops.stop import places_of
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.sections import ROAD, WEIGHT, WeightSection
+from models.vehicle.performance import ROAD, WEIGHT, WeightSection
 from models.vehicle.vehicle import LIFTED, PLANES, VehicleFile, kind
 
 TABLE = {"type": "object"}

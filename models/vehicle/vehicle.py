@@ -1,6 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,11 +21,18 @@ from models.document.document import Document
 from models.document.text import ShownResult, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.plausibility import remarks
+from models.kinds.plausibility import known_quantities, remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
 from models.parts.part import Parts
-from models.vehicle.controllers import NOMINAL, RESERVED_NAMES, ControllerEntry, DesignConditions, read_controllers
+from models.vehicle.controllers import (
+    NOMINAL,
+    PUSHING_ACTUATORS,
+    RESERVED_NAMES,
+    ControllerEntry,
+    DesignConditions,
+    read_controllers,
+)
 from models.vehicle.limits_and_implementation import (
     Implementation,
     ImplementationSection,
@@ -33,19 +41,7 @@ from models.vehicle.limits_and_implementation import (
     read_limits,
 )
 from models.vehicle.names import WITHOUT, named_files
-from models.vehicle.sections import (
-    PUSHING_ACTUATORS,
-    WeightedSum,
-    check_weights,
-    curve_notes,
-    curves_and_parameters,
-    known_quantities,
-    ratio_doubts,
-    read_performance,
-    rebalanced_curves,
-    resolved_text,
-    suspension_doubts,
-)
+from models.vehicle.performance import WeightedSum, check_weights, read_performance
 
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
@@ -250,8 +246,10 @@ class Vehicle(ShownResult):
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
         parameters = {**self.parameters, **values}
-        curves = rebalanced_curves(self.kind, self.curves, self.parameters, parameters)
-        return replace(self, parameters=parameters, curves=curves, **fields)
+        if self.curves:
+            rebalanced = FEATURES.load("curves of suspensions").rebalanced_curves
+            fields |= {"curves": rebalanced(self.kind, self.curves, self.parameters, parameters)}
+        return replace(self, parameters=parameters, **fields)
 
     def adjusted(self, force: str) -> bool:
         """Returns True if an adjustable damper replaces the own damper at a force."""
@@ -558,11 +556,16 @@ class Vehicle(ShownResult):
         """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
+        doubts = list[str]()
+        if curves or self.dampers or self.limits.stopped:
+            doubts += FEATURES.load("doubts about parts").suspension_doubts(self)
+        if curves:
+            doubts += FEATURES.load("curves of suspensions").curve_notes(curves, self.kind, self.parameters)
+        if self.kind.ratios:
+            doubts += FEATURES.load("curves of suspensions").ratio_doubts(self.kind, self.parts.strokes)
         return [
             *remarks(known_quantities(self)),
-            *suspension_doubts(self),
-            *curve_notes(curves, self.kind, self.parameters),
-            *(ratio_doubts(self.kind, self.parts.strokes) if self.kind.ratios else []),
+            *doubts,
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
 
@@ -637,6 +640,18 @@ def read_vehicle(file: str | Path) -> Vehicle:
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
 
 
+def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
+
+    Raises:
+        InputError: the text is not TOML, or one of these files is missing or wrong.
+    """
+    if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
+        return text, ()
+
+    return FEATURES.load("files named in vehicle files").with_contents(text, folder)
+
+
 def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
     """Returns a vehicle from the text of its file.
 
@@ -660,7 +675,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     numbers = given.parameters
     if given.seat is not None:
         vehicle_kind, numbers = FEATURES.load("seats").read_seat(given.seat, vehicle_kind, numbers)
-    curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
+    curves = dict[str, "ForceCurve"]()
+    if given.curves:
+        curves_and_parameters = FEATURES.load("curves of suspensions").curves_and_parameters
+        curves, numbers, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
+    with error_in("[parameters]"):
+        checked = vehicle_kind.check_each(numbers)
+    parameters = vehicle_kind.check(checked)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
         parameters, limits, vehicle_kind = FEATURES.load("payload").apply_payload(

@@ -13,11 +13,10 @@ from models.common.errors import InputError
 from models.common.extensions import FEATURES, OBSERVERS
 from models.document.document import Block, Document
 from models.document.text import ShownResult, facts
-from models.kinds.plausibility import remarks
+from models.kinds.plausibility import known_quantities, remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
-from models.vehicle.sections import known_quantities
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.regime import FLAT

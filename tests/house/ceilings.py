@@ -21,15 +21,15 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3178   2218      0
+what all commands share: files, options, checks, tables of numbers   3179   2218      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6323   2011    352
+vehicle file, types, equations, MJCF                           6191   2011    352
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
-    models/vehicle/{__init__,controller*,file_schema,limits_and_implementation,mjcf,names,payload,sections,sketch,vehicle}.py
+    models/vehicle/{__init__,controller*,file_schema,limits_and_implementation,mjcf,names,payload,performance,sketch,vehicle}.py
     tests/*/test_{cars,heights,mjcf,new,on_demand,seat,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-actuators,new,seat,vehicle-data}.md
 laws and families in files                                      259    347    108
@@ -47,9 +47,9 @@ semi-active dampers and laws                                   1301    722    20
     models/vehicle/semi_active_coefficients.py sim/linear/dampers.py sim/runs/dampers.py
     tests/*/test_measured_dampers.py tests/*/test_semi_active*.py
     docs/how-to/semi-active-dampers.md docs/tutorials/semi-active-damper.md
-curves of dampers and springs, statistical linearisation       3204   1922    161
+curves of dampers and springs, statistical linearisation       3344   1922    161
     models/characteristics/{__init__,curve*,measured_loop,ratio_table,surface*}.py
-    models/parts/{characteristic,damper,lines,plausibility,ratio,spring,surface_damper}.py
+    models/parts/{characteristic,curves,damper,lines,plausibility,ratio,spring,surface_damper}.py
     sim/studies/ride/statistical_linearisation.py sim/linear/{nonlinear_elements,outputs,stepped}.py tests/sim/test_stepped.py
     sim/runs/force_diagram.py synth/controller/equivalent_line.py
     tests/support/curved.py tests/*/test_{curves*,motion_ratios,spring_tables,surfaces}.py
@@ -157,7 +157,7 @@ MuJoCo loop                                                    2839   1098     1
 linear responses                                               1068    416      0
     sim/linear/{__init__,forced_response,frequency_response,linear_motion,prediction,response_batch,rounding}.py
     sim/linear/sampled_response.py tests/support/analysed.py tests/synth/test_laws.py
-runs, verdict, their text                                      2748   1049     61
+runs, verdict, their text                                      2747   1049     61
     sim/runs/{__init__,agreement,by_name,decay,re*,run,signal_table,start,time_histories}.py
     sim/drive/{jumps,recursion,regime,response}.py
     tests/support/faults.py tests/*/test_{agreement,drawn,faults,start,verdict}.py

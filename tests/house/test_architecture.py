@@ -115,7 +115,7 @@ CORE = {  # package -> its modules that are core
     "models.parts": "part",
     "models.parts.stops": "section",
     "models.roads": "iso8608 road spectrum",
-    "models.vehicle": "controllers limits_and_implementation mjcf names sections suspension_forces vehicle",
+    "models.vehicle": "controllers limits_and_implementation mjcf names performance suspension_forces vehicle",
     "sim": "bump",
     "sim.command": "comparison driving road_options",
     "sim.drive": "actuators case computer drive driver jumps loop recursion regime response sensor_readout",
@@ -134,7 +134,7 @@ CORE = {  # package -> its modules that are core
     "synth.plant": "augmented double_double generalized loop numerics state_space units",
     "synth.vehicle": "design_problem designer",
 }
-MOST_CORE = 28_100  # lines of the core
+MOST_CORE = 27_800  # lines of the core
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
