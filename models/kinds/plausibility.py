@@ -170,7 +170,7 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
 
 def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
     """Returns stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension, by their lines at rest."""
-    lines = [one.added for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
+    lines = [one.added_line for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
     return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
 
 

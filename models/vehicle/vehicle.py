@@ -266,7 +266,7 @@ class Vehicle(ShownResult):
     @property
     def inertial(self) -> bool:
         """True if a suspension has a force that depends on the second derivative of its deflection."""
-        return any(one.added.inertance for one in self.parts)
+        return any(one.added_line.inertance for one in self.parts)
 
     @property
     def linearised(self) -> "Vehicle":
@@ -284,10 +284,10 @@ class Vehicle(ShownResult):
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
         """Returns a linear model of the vehicle type with the lines of all parts."""
-        more = [one for one in self.parts if one.added.sloped] if self.elements else []
+        more = [one for one in self.parts if one.added_line.sloped] if self.elements else []
         if not more:
             return model
-        names, lines = [one.deflection for one in more], [one.added for one in more]
+        names, lines = [one.deflection for one in more], [one.added_line for one in more]
         slopes = ("stiffness", "damping", "inertance")
         stiffness, damping, inertance = (np.array([getattr(line, name) for line in lines]) for name in slopes)
         from models.kinds.at_wheels import force_effects
@@ -318,7 +318,7 @@ class Vehicle(ShownResult):
         return model.Bl, model.Dl
 
     @property
-    def sensed(self) -> tuple[str, ...]:
+    def sensed_signals(self) -> tuple[str, ...]:
         """Output signals of the linear model for which MuJoCo has sensors: all but the own states of parts."""
         outputs = self.linear_model.outputs
         return outputs[: len(outputs) - len(self.kind.of_parts)]

@@ -58,12 +58,12 @@ class VehicleRuns:
     fits: "Sequence[Mapping[str, SignalFit]]" = ()
 
     @property
-    def built(self) -> list[Run]:
+    def implemented_runs(self) -> list[Run]:
         """The runs of the implemented loops."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
-    def shown(self) -> list[Run]:
+    def named_runs(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
         pairs = zip(self.runs, self.without, strict=True)
         return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
@@ -126,7 +126,7 @@ def drive(
         _drive_vehicle(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()
     ]
     runs = [run for each in driven for run in each.runs]
-    shown = [run for each in driven for run in each.shown]
+    shown = [run for each in driven for run in each.named_runs]
     measured, beside = None, {}
     if log is not None:
         measured = print_remarks(
@@ -203,7 +203,7 @@ def drive(
         say(lines)
     for one in logs:
         comparison.view(options, one)
-    done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
+    done = all({*each.names} == {run.controller.name for run in each.implemented_runs} for each in driven)
     return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 
 
@@ -269,7 +269,7 @@ def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float 
             "definitions": DEFINITIONS,
             "iri": ride.roughness(ride.driven_roughness(each.vehicle, road, time)),
         }
-    return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
+    return result | comparison.left_out_object(each.names, [run.controller.name for run in each.implemented_runs])
 
 
 def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
@@ -278,15 +278,15 @@ def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end:
     Args:
         start, end: times between which the ride is measured [s].
     """
-    shown, metrics = [run for each in driven for run in each.shown], [one for each in driven for one in each.metrics]
+    shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     lines = list[str]()
     if metrics:
         start_lines = FEATURES.load("start of a run").start_lines
         for each in driven:
-            lines += start_lines(each.shown[: len(each.built)], starts_later(options))
+            lines += start_lines(each.named_runs[: len(each.implemented_runs)], starts_later(options))
     if options.verbose:
         for each in driven:
-            for run, own in zip_longest(each.shown, each.metrics):
+            for run, own in zip_longest(each.named_runs, each.metrics):
                 lines += comparison.run_lines([run], each.passive)
                 if own is not None:
                     ride = FEATURES.load("ride of a run")

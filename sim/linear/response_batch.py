@@ -35,8 +35,8 @@ class ResponseBatch:
         vehicle, self._batch, timestep = batch.vehicles[0], batch, batch.timestep
         self.outputs, road, held = vehicle.linear_model.outputs, vehicle.linear_model.disturbances, pushes(vehicle.linear_model)
         groups = [(batch.now, with_ending(road, HEIGHT)), (batch.midway, with_ending(road, MIDWAY))]
-        if batch.held is not None:
-            effects = {HELD: "held", SIGNAL: "in_signals", READ: "in_readings"}
+        if batch.held_inputs is not None:
+            effects = {HELD: "held_inputs", SIGNAL: "in_signals", READ: "in_readings"}
             for ending, values in effects.items():
                 groups.append((np.stack([getattr(one, values) for one in batch.inputs], axis=1), with_ending(held, ending)))
         if any(one.preview is not None for one in batch.drivers):

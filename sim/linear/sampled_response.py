@@ -101,7 +101,7 @@ def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
     if any(road.has_held_inputs for road in roads):
         held = pushes(model)
-        groups += [("held", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
+        groups += [("held_inputs", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
     return {
         f"{name}{ending}": np.stack([getattr(road, values)[:, i] for road in roads])
         for values, names, ending in groups

@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for title, (vehicle, names) in subjects.items():
         with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
             results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
-        undesigned += sorted({*names} - {one.controller for one in results[title].compared})
+        undesigned += sorted({*names} - {one.controller for one in results[title].scores})
     if len(subjects) > 1:
         return _several(options, outputs, results, undesigned)
     ((vehicle, names),), (result,), (outputs,) = subjects.values(), results.values(), outputs.values()
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             *left,
             *left_out_lines(others),
             "",
-            *score_lines(result.compared, result.compared_on),
+            *score_lines(result.scores, result.compared_on),
         ]
         if not options.brief:
             said = (
@@ -160,7 +160,7 @@ def _several(
     from sim.report.page import record
     from sim.studies.ride.score_table import score_lines, scores_record
 
-    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
+    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.scores]
     if options.json:
         whole = {title: {**record(result), **output_paths(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
@@ -214,7 +214,7 @@ def _write_report(
     warn_invalid_certificates(controllers)
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
-    scope = replace(scope, controllers=linear, laws=laws, exported=exported)
+    scope = replace(scope, controllers=linear, laws=laws, exported_controller=exported)
     stage = Stages(*stages(scope), "the page")
     result = report(scope, _about(vehicle.source), pool.begin, stage)
     stage("the page")

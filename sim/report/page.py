@@ -29,12 +29,12 @@ class Report:
 
     Attributes:
         page: whole page.
-        compared: the controllers' scores, the passive one first.
+        scores: the controllers' scores, the passive one first.
         compared_on: roads of the comparison, in words.
     """
 
     page: Page
-    compared: list[Score]
+    scores: list[Score]
     compared_on: str
 
 
@@ -54,10 +54,10 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     over_roads = [one for _, scores in results.get("ride", {}).values() for one in scores] if scope.own_road is None else []
     compared, when = _compare_controllers(scope, over_roads), measured_words(scope.time, scope.samples)
     ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
-    sections = [trust_section(scope, runs, ends, scope.disagreeing)]
+    sections = [trust_section(scope, runs, ends, scope.disagreeing_names)]
     sections += [section for name, one in STUDIES.load_all().items() for section in one(name).sections(scope, results)]
     where = compared_on(scope, compared, any(results.get("ride", {}).values()), when)
-    names, kind = some_names([one.name for one in scope.driven]), scope.vehicle.kind.name.replace("_", " ")
+    names, kind = some_names([one.name for one in scope.driven_controllers]), scope.vehicle.kind.name.replace("_", " ")
     dive = results.get("loads", {}).get("braking", {})
     whole = Page(
         f"{file_stem(scope.vehicle)}: {names} on a {kind}, from linear analysis to MuJoCo",
@@ -86,10 +86,10 @@ def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Sc
     A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
     """
     if not over_roads:
-        return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.measured)
+        return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.run_metrics)
     there = {one.controller: one for one in over_roads}
-    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
-    unsound = [one.name for one in scope.driven if one.growth]
+    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven_controllers)))
+    unsound = [one.name for one in scope.driven_controllers if one.growth]
     return without_unsound([there.get(name) or score_of(scope.vehicle, name, {}) for name in names], unsound)
 
 
@@ -97,7 +97,7 @@ def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
     """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
-    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven}]:
+    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven_controllers}]:
         rows["controllers not on this page"] = ", ".join(absent)
     h = 1e3 * scope.timestep
     rows |= {"road": scope.own_road.words, "duration": f"{scope.duration:g} s"} if scope.own_road is not None else {}
@@ -155,5 +155,5 @@ def record(report: Report) -> dict[str, Any]:
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": {one.name: one.records for one in page.whole.tables},
-        "compared": scores_record(report.compared),
+        "compared": scores_record(report.scores),
     }

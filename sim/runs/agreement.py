@@ -156,7 +156,7 @@ class Agreement(ShownResult):
 
     Attributes:
         lift_off: intervals [s] in which a tyre is off the ground.
-        ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
+        end_times: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         linear: differences from linear analysis, while that applies.
         steps: steps against the vehicle's exact equations, also after `until`; None if they are not known.
         commands: commands against the control law; None if they are not known, as in the log of a law in Python.
@@ -164,7 +164,7 @@ class Agreement(ShownResult):
     """
 
     lift_off: tuple[tuple[float, float], ...]
-    ended: Mapping[str, float]
+    end_times: Mapping[str, float]
     linear: LinearComparison
     steps: StepAgreement | None = None
     commands: CommandAgreement | None = None
@@ -173,7 +173,7 @@ class Agreement(ShownResult):
     @property
     def summary(self) -> Document:
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
-        ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
+        ended = {name: f"at {WHEN.text(at)}" for name, at in self.end_times.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 

@@ -64,7 +64,7 @@ class RunResult:
     @property
     def broke_off(self) -> tuple[str, float] | None:
         """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
+        ends = {FLAT.name: self.agreement.end_times[FLAT.name], broken_by(self.physics): self.physics.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 

@@ -197,7 +197,7 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
     """
     energy: Callable[..., Energy | None] = OBSERVERS.load_if_known("energy") or (lambda run, until: None)
     runs = [
-        replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.ended[FLAT.name]))
+        replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.end_times[FLAT.name]))
         for run, one in zip(runs, recordings, strict=True)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.prediction.varies]
@@ -209,7 +209,7 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         finer = _simulate_predictions(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
-            if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.ended[FLAT.name])):
+            if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.end_times[FLAT.name])):
                 balance = balance.with_half_step(half)
             half_step = _half_step(run, finer[k].response) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)

@@ -119,7 +119,7 @@ def test_what_no_step_confirms_is_not_compared():
     assert run.passed
     assert agreement.steps is not None
     assert agreement.equations_invalid
-    assert agreement.until == agreement.steps.until < agreement.ended[LIFT_OFF.name]
+    assert agreement.until == agreement.steps.until < agreement.end_times[LIFT_OFF.name]
     shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
     assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
     assert f"until {agreement.until:.4g} s ({INVALID_EQUATIONS})" in verdict(run).text

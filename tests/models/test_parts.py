@@ -890,7 +890,7 @@ def test_the_linear_regime_ends_where_a_part_leaves_its_line(names, ratio):
     (on, *_), (physics, *_) = driven("quarter_car", names, ratio)
     (law,), row, run = laws("quarter_car", names, ratio), ROWS[names[0]], judged(on, physics)
     r, D = law.travel(run.physics["suspension_deflection"])
-    v, ends = r * (run.physics["sprung_velocity"] - run.physics["unsprung_velocity"]), run.agreement.ended
+    v, ends = r * (run.physics["sprung_velocity"] - run.physics["unsprung_velocity"]), run.agreement.end_times
     if row.slot == "stop":
         off = (max(x for x in row.d if x < 0) >= D) | (min(x for x in row.d if x > 0) <= D)
         assert ends["bump stop"] == on.time[off.argmax()] > 0

@@ -213,7 +213,7 @@ def test_what_is_missing_is_said():
     said = f"{100 * rms:.2g} % (rms) of the requested force is missing, at {100 * share:.2g} % of the samples"
     assert any(said in line for line in lines)
     assert run.agreement.until == np.inf
-    assert run.agreement.ended["damper"] == first
+    assert run.agreement.end_times["damper"] == first
     (none,) = runs(QUARTER + DAMPER, "passive")
     assert "dampers" in RUN(none)
     assert not any("damp" in line.text for line in reasons(none))
@@ -242,7 +242,7 @@ def test_the_linear_response_foretells_the_first_force_missing():
     assert isinstance(run.controller, Controller)
     linear = sampled_response(run.vehicle, run.controller, BUMP, run.physics.time)
     first = linear.time[np.argmax(np.abs(linear["missing_force"]) > 1e-3)]
-    assert abs(first - run.agreement.ended["damper"]) < 1.5e-3
+    assert abs(first - run.agreement.end_times["damper"]) < 1.5e-3
 
 
 def test_a_timestep_that_rk4_bears_with_every_coefficient():

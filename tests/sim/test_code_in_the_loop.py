@@ -245,7 +245,7 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Subject(vehicle, designer, (own,), STEP, True, exported=driver)
+    scope = Subject(vehicle, designer, (own,), STEP, True, exported_controller=driver)
     assert ("exported", "") in requests_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)

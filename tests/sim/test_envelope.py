@@ -116,7 +116,7 @@ def test_loads_over_every_bump(tmp_path, capsys):
     for cell in found["cells"][::2]:
         road = RoadWithLoads(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
         (run,) = run_controllers(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
-        lifted = run.agreement.ended["lift-off"]
+        lifted = run.agreement.end_times["lift-off"]
         assert cell["at"] == (lifted if np.isfinite(lifted) else None)
         if cell["broke_first"] is None:
             assert cell["error"] < 5e-3  # what turning bodies make of it: measured 2e-3
@@ -242,8 +242,8 @@ def test_a_tyre_is_flat_when_it_is(paper, designer):
     for bump in bumps:
         (run,) = run_controllers(paper, [designer.design("I")], bump, time)
         linear = scaled_reached(paper, run.sampled, np.ones(1))[0, REGIME_ENDS.index(FLAT)]
-        others = min(when for name, when in run.agreement.ended.items() if name != FLAT.name)
-        found = run.agreement.ended[FLAT.name]
+        others = min(when for name, when in run.agreement.end_times.items() if name != FLAT.name)
+        found = run.agreement.end_times[FLAT.name]
         if min(linear, found) < others:
             assert found == linear, bump
             met.add("first")

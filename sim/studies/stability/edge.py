@@ -151,7 +151,7 @@ def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) ->
     lengths = [round(_duration(loop) / loop.loop.period) * round(loop.loop.period / timestep) for loop in loops]
     flat = Flat()
     cases = [
-        Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed)
+        Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed_controller)
         for vehicle, trial, start in zip(vehicles, trials, starts, strict=True)
     ]
     (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(OBSERVERS.load("growth"), lengths), streamed=True)

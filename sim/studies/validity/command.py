@@ -185,7 +185,9 @@ class EndsStudy(Study["list[RegimeEnd | None]"]):
 
         runs = f"{BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
         return [
-            describe_ends(scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing, Bump(), scope.where, runs)
+            describe_ends(
+                scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing_names, Bump(), scope.where, runs
+            )
             for ends in results[self.name].values()
         ]
 
