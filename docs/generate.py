@@ -30,6 +30,7 @@ from models.characteristics.curve_reading import DamperTable, SpringTable
 from models.characteristics.ratio_table import RatioSection
 from models.common import schema
 from models.common.command import Parser
+from models.common.extensions import METRICS
 from models.document.sketch import sketch_svg
 from models.kinds import signals
 from models.kinds.seat import Seat
@@ -40,7 +41,7 @@ from models.laws.goals import BOUNDS, Minimise
 from models.laws.law_structure import PidSection
 from models.parts.element import PartSite, element_kinds
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
+from models.roads.loads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.profile_file import TableSettings
@@ -50,14 +51,13 @@ from models.roads.road import Bump
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.sections import WeightSection
+from models.vehicle.performance import WeightSection
 from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection
 from sim.studies.ride import metrics
-from sim.studies.ride.registry import metric_classes
 
 HERE = Path(__file__).parent
 PACKAGES = (models, synth, sim)
@@ -339,7 +339,7 @@ def metric_tables() -> str:
     """Returns the page of metrics: what all share, their definitions, and their names for the quarter-car under loads."""
     about, _, formulas = (inspect.getdoc(metrics) or "").partition("\n\n")
     headings = ("name", "unit", "in `--best`", "over runs", "expectation", "definition")
-    names = {kind: name for name, kind in metric_classes().items()}
+    names = {kind: name for name, kind in METRICS.load_all().items()}
     rows = [
         (
             f"`{one.name}`",

@@ -13,7 +13,7 @@ from typing import NoReturn
 from models.common.command import Parser, versions
 from models.common.errors import InputError, list_names
 from models.common.extensions import STUDIES
-from sim.studies.registry import command_of
+from sim.studies.command_name import command_of
 
 OWN = {name: texts for name, texts in STUDIES.texts.items() if texts}
 COMMANDS = (  # name as after `python -m`, its purpose, the options that one reaches for first

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
+from operator import attrgetter
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin
@@ -124,11 +125,11 @@ def check_arguments(function: F) -> F:
 
     The function also warns of all remarks on the vehicle or the runs that it returns, each once.
     """
-    signature = inspect.signature(function)
+    signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
     @wraps(function)
     def checked(*arguments: Any, **named: Any) -> Any:
-        bound = signature.bind(*arguments, **named)
+        bound = signature.bind(*arguments, **{former.get(name, name): value for name, value in named.items()})
         for name, value in bound.arguments.items():
             if name not in ("self", "cls"):
                 bound.arguments[name] = check(name, value, signature.parameters[name].annotation)
@@ -139,6 +140,33 @@ def check_arguments(function: F) -> F:
         return given
 
     return checked  # pyright: ignore[reportReturnType]
+
+
+def accept_former_names(**names: str) -> Callable[[F], F]:
+    """Returns a decorator of a public function or dataclass that also accepts former names of arguments.
+
+    The attributes of such a dataclass can be read by their former names, too.
+
+    Args:
+        names: present names by former ones.
+    """
+
+    def decorate(one: F) -> F:
+        if not isinstance(one, type):
+            one.former_names = names  # for `check_arguments`  # pyright: ignore[reportFunctionMemberAccess]
+            return one
+        init = one.__init__
+
+        @wraps(init)
+        def accepting(self: Any, *arguments: Any, **named: Any) -> None:
+            init(self, *arguments, **{names.get(name, name): value for name, value in named.items()})
+
+        one.__init__ = accepting
+        for former, name in names.items():
+            setattr(one, former, property(attrgetter(name), doc=f"Former name of `{name}`."))
+        return one  # pyright: ignore[reportReturnType]
+
+    return decorate
 
 
 class ReadOnly(dict[str, Any]):

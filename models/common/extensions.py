@@ -18,36 +18,50 @@ class Registry(dict[str, str]):
 
     Attributes:
         sort: noun for one of these extensions, for messages.
+        attributes: names of the attributes that each of them has.
         texts: further texts of their rows, for help pages.
     """
 
-    def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]]) -> None:
+    def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]], attributes: tuple[str, ...] = ()) -> None:
         each = {name: (row,) if isinstance(row, str) else row for name, row in rows.items()}
         super().__init__({name: row[0] for name, row in each.items()})
-        self.sort, self.texts = sort, {name: row[1:] for name, row in each.items()}
+        self.sort, self.attributes, self.texts = sort, attributes, {name: row[1:] for name, row in each.items()}
 
     def load(self, name: str) -> Any:
         """Returns what a name stands for; its module is imported now.
 
         Raises:
             InputError: no extension of this sort has that name.
+            TypeError: an attribute is missing.
         """
         if name not in self:
             raise InputError(f"{self.sort} {name!r} is not known; known are {alike(name, self)}")
-        return resolve_name(self[name])
+        extension = resolve_name(self[name])
+        for attribute in self.attributes:
+            if not hasattr(extension, attribute):
+                raise TypeError(f"{self.sort} {name!r}: {self[name]} has no {attribute}")
+        return extension
+
+    def load_if_known(self, name: str) -> Any:
+        """Returns what a name stands for, or None if no row has it."""
+        return self.load(name) if name in self else None
+
+    def load_all(self) -> dict[str, Any]:
+        """Returns what each name stands for, in the order of the rows."""
+        return {name: self.load(name) for name in self}
 
 
 _STANDARD = "sim.studies.ride.kinds.standard"
 _FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
     "part": {  # a class, see `models.parts.part`
-        "stop": "models.parts.stop:Stops",
+        "stop": "models.parts.stops.part:Stops",
         "spring": "models.parts.spring:SpringCurve",
         "damper": "models.parts.damper:DamperCurve",
         "surface damper": "models.parts.surface_damper:SurfaceDamper",
         "adjustable damper": "models.parts.adjustable:Adjustable",
         "actuator": "models.parts.actuator:Actuator",
-        "hydraulic_stop": "models.parts.elements.hydraulic_stop:HydraulicStop",
+        "hydraulic_stop": "models.parts.stops.hydraulic_stop:HydraulicStop",
         "gas_spring": "models.parts.elements.gas_spring:GasSpring",
         "maxwell": "models.parts.elements.maxwell:Maxwell",
         "inerter": "models.parts.elements.inerter:Inerter",
@@ -77,7 +91,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "curves in files": "models.characteristics.curve_reading",
         "measured loops": "models.characteristics.measured_loop",
         "motion ratios over travel": "models.characteristics.ratio_table",
-        "stops": "models.characteristics.stops",
+        "stops": "models.parts.stops.stop",
         "surfaces": "models.characteristics.surface",
         "measured logs": "models.common.logs.measured_log",
         "editing of TOML": "models.common.toml_edit",
@@ -91,14 +105,15 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "preview": "models.laws.preview",
         "damper ranges": "models.parts.damper_range",
         "parts in files": "models.parts.element",
+        "curves of suspensions": "models.parts.curves",
         "lines of parts": "models.parts.lines",
         "parts native to MuJoCo": "models.parts.native",
         "doubts about parts": "models.parts.plausibility",
         "parts at motion ratios": "models.parts.ratio",
-        "parts": "models.parts.registry",
+        "parts": "models.parts.placement",
         "settable parts": "models.parts.settable",
         "roads by name": "models.roads.choice",
-        "loads by name": "models.roads.load_choice",
+        "loads by name": "models.roads.loads.choice",
         "IRI": "models.roads.iri",
         "measured roads": "models.roads.profile",
         "rigs": "models.roads.rig",
@@ -193,5 +208,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
     },
 }
-EXTENSIONS = {sort: Registry(sort, rows) for sort, rows in _ROWS.items()}
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # a metric is never combined over runs by default
+EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

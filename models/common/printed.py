@@ -54,6 +54,11 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
     return {text: ", ".join(names) for text, names in alike.items()}
 
 
+def three_digits(value: float) -> str:
+    """Returns a number with three significant digits, or more if it has more before the point."""
+    return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
+
+
 def percent(share: float) -> str:
     """Returns a share in percent; up to 1e-9, which is rounding, it is 0."""
     if share <= 1e-9:

@@ -2,7 +2,7 @@
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
-with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/load.py`). In the
+with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). In the
 paper, and if the body can follow every motion of the wheels, Br and Cr are zero: only the road's velocity acts. Under four wheels
 the road's twist acts as a displacement.
 

@@ -4,11 +4,16 @@ Limits are relative to the vehicle where trucks, bicycles and model-scale test b
 has the remarks on curves.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from models.common.printed import about, entry
+from models.kinds.kind import GRAVITY
+
+if TYPE_CHECKING:
+    from models.kinds.kind import Suspension
 
 
 class KnownQuantity(NamedTuple):
@@ -103,3 +108,105 @@ def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
                 first = min(first, rule.rank or first)
                 break
     return said
+
+
+CORNER = {  # quantities at a suspension: the beginning of a parameter's name, and its unit
+    "spring": ("suspension_stiffness", "N/m"), "damper": ("suspension_damping", "N s/m"), "wheel": ("unsprung_mass", "kg"),
+    "tyre": ("tyre_stiffness", "N/m"), "tyre_damper": ("tyre_damping", "N s/m"),
+}  # fmt: skip
+
+
+def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
+    """Yields the quantities of a vehicle by place, with the names that `RULES` has for them.
+
+    For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
+    dampers do not count: `suspension_doubts` remarks on them.
+
+    Args:
+        vehicle: the `Vehicle`.
+    """
+    kind, limits, how, axles = (
+        vehicle.kind,
+        vehicle.force_limits or vehicle.limits,
+        vehicle.implementation,
+        dict[str, KnownQuantity](),
+    )
+    bent = {part.damping for part in kind.suspensions} & {*vehicle.curves}
+    p = {name: value for name, value in kind.at_wheels(vehicle.parameters).items() if value and name not in bent}
+    for start, unit in CORNER.values():
+        if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
+            (low, low_name), (high, high_name) = corners[0], corners[-1]
+            yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
+    firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()  # of those with the same numbers
+    lines = [_of_elements(vehicle, deflection) for deflection in firsts]
+    k, c = (
+        sum(value for name, value in p.items() if name.startswith(CORNER[of][0])) + sum(line[i] for line in lines)
+        for i, of in enumerate(("spring", "damper"))
+    )
+    if k and (mass := p.get("sprung_mass")):
+        yield _known_quantities(
+            frequency=("", math.sqrt(k / mass) / (2 * math.pi), ""), damping=("", c / (2 * math.sqrt(k * mass)), "")
+        )
+    yield _known_quantities(
+        seat=("", math.sqrt(_ratio(p.get("seat_stiffness", 0.0), p.get("seat_mass", 0.0))) / (2 * math.pi), "")
+    )
+    yield _known_quantities(**{way: (f"{way}_inertia", p.get(f"{way}_inertia"), "kg m2") for way in ("roll", "pitch")})
+    for part in kind.suspensions:
+        place = _at_suspension(vehicle, part, p)
+        if "body_frequency" in place:
+            axles.setdefault(part.corner.partition("_")[0], place["body_frequency"])
+        yield place
+    yield axles
+    for key, of in (("suspension_stroke", "stroke"), ("stop_stiffness", "stop")):
+        written = {name: text for name, text in vehicle.limits.written.items() if key in name and text[0] not in "[t"}
+        yield from (_known_quantities(**{of: (name, float(text), "")}) for name, text in written.items())
+    for bandwidth in (limits.actuator_bandwidth, *(damper.bandwidth for damper in vehicle.dampers.values())):
+        yield _known_quantities(bandwidth=("bandwidth", (bandwidth or 0.0) / (2 * math.pi), "Hz"))
+    period, units = how.sample_period or 0.0, {signal.name: signal.unit for signal in kind.signals}
+    yield _known_quantities(period=("sample_period", period, "s"), delay=("delay times sample_period", how.delay * period, "s"))
+    for name, errors in (("noise", how.noise), ("quantisation", how.quantisation)):
+        for signal, size in errors.items():
+            yield _known_quantities(**{f"error_{units.get(signal)}": (f"{name} of {signal}", size, units.get(signal, ""))})
+
+
+def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
+    """Returns stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension, by their lines at rest."""
+    lines = [one.added_line for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
+    return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
+
+
+def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, KnownQuantity]:
+    """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
+    kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
+    r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
+    names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
+    names |= {"spring": part.stiffness, "damper": part.damping}
+    k, c, wheel, tyre, tyre_damper = (p.get(name, 0.0) for name in names.values())
+    more = _of_elements(vehicle, part.deflection)
+    k, c = k + more[0], c + more[1]
+    critical, hop = 2 * math.sqrt(k * load / GRAVITY), 2 * math.sqrt(tyre * wheel)
+    return _known_quantities(
+        **{of: (name, p.get(name), CORNER[of][1] + " at the wheel" * (r != 1 and of == "spring")) for of, name in names.items()},
+        **{side: (f"the {side} stroke", stroke, "m") for side, stroke in strokes.items()},
+        damping=("", _ratio(c, critical), ""),
+        adjustable=("", _ratio(r**2 * damper.c_max if damper and damper.pair is None else 0.0, critical), ""),
+        tyre_damping=("", _ratio(tyre_damper, hop), ""),
+        ratio=(part.ratio, vehicle.parameters.get(part.ratio), ""),
+        body=("the body on it", load / GRAVITY, "kg"),
+        load=("the static load", load, "N"),
+        static=("the static deflection", _ratio(load, k), "m"),
+        squeeze=(names["tyre"], _ratio(load, tyre), "m"),
+        body_frequency=(f"the body's frequency at {part.corner}", math.sqrt(_ratio(k * GRAVITY, load)) / (2 * math.pi), "Hz"),
+        force=("actuator_force", (vehicle.force_limits or vehicle.limits).actuator_force, "N"),
+        rate=("force_rate", (vehicle.force_limits or vehicle.limits).force_rate, "N/s"),
+    )
+
+
+def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
+    """Returns quantities, each with its name, value and unit, without those that are None or 0."""
+    return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
+
+
+def _ratio(of: float, to: float) -> float:
+    """Returns a ratio; 0 if it is unknown."""
+    return of / to if to else 0.0

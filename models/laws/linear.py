@@ -147,15 +147,6 @@ class LinearLaw(LawSource):
         rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
         return replace(self, C=rows * self.C, D=rows * self.D)
 
-    def read_as(self, factors: Array | float) -> "LinearLaw":
-        """Returns the law with its readings multiplied by factors.
-
-        Args:
-            factors: factor for all measurements, or a factor for each, shape (q,).
-        """
-        columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
-        return replace(self, B=self.B * columns, D=self.D * columns)
-
     def only(self, forces: Array) -> "LinearLaw":
         """Returns the law with all but some forces zero. With `scaled` it cuts a loop at actuators.
 

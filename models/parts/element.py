@@ -7,13 +7,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from models.characteristics.stops import holds, places_of
 from models.common.errors import InputError, alike, error_in, list_names, short_repr
+from models.common.extensions import PARTS
 from models.common.schema import SI, ListedValues, Section, Text, keys, read
 from models.kinds.kind import Suspension
 from models.kinds.signals import Signal
 from models.parts.part import Part, Straight, state_signals
-from models.parts.registry import PARTS, part_class
+from models.parts.stops.stop import holds, places_of
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) ->
 
 def element_kinds() -> dict[str, type[Section]]:
     """Returns the parts that a section can be, by name."""
-    return {name: part_class(name) for name in PARTS if issubclass(part_class(name), Section)}
+    return {name: one for name, one in PARTS.load_all().items() if issubclass(one, Section)}
 
 
 def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Collection[str] = ()) -> tuple[Element, ...]:

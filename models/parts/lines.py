@@ -7,18 +7,18 @@ import numpy as np
 
 from models.characteristics.curve_reading import Argument
 from models.common.arrays import Array
+from models.common.extensions import PARTS
 from models.common.printed import rough
 from models.kinds.kind import Suspension
 from models.kinds.linear_model import LinearModel
 from models.parts.part import SuspensionPart
-from models.parts.registry import PARTS, part_class
 
 
 def curvable(suspensions: Sequence[Suspension]) -> dict[str, Argument]:
     """Returns the parameters that a curve can replace, each with the curve's argument."""
     over = dict[str, Argument]()
-    for name in PARTS:
-        if (replaces := part_class(name).replaces) is not None:
+    for part in PARTS.load_all().values():
+        if (replaces := part.replaces) is not None:
             over |= {parameter: replaces[1] for one in suspensions if (parameter := getattr(one, replaces[0]))}
     return over
 

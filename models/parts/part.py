@@ -282,7 +282,7 @@ class SuspensionPart:
         return self.place.tendon
 
     @cached_property
-    def added(self) -> Line:
+    def added_line(self) -> Line:
         """Its line beyond the vehicle's own springs and dampers, which have that of a parameter."""
         return Line() if self.parameter else self.part.line
 
@@ -294,12 +294,12 @@ class SuspensionPart:
     @property
     def native(self) -> bool:
         """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
-        return self.part.native and not self.added.sloped
+        return self.part.native and not self.added_line.sloped
 
     @property
     def acts(self) -> bool:
         """True if something is beyond the vehicle's own springs and dampers."""
-        return self.part.acts or self.added.sloped
+        return self.part.acts or self.added_line.sloped
 
     @property
     def damps(self) -> bool:

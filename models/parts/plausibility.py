@@ -3,10 +3,14 @@
 A number is remarked if it is about 30 times what is usual, or a thirtieth. Mistakes between mm and m or N and kN are larger.
 """
 
+import math
 from collections.abc import Iterator
+from typing import Any
 
+from models.characteristics import SIDES
 from models.characteristics.curve import ForceCurve
-from models.characteristics.stops import Stop, StopTable
+from models.kinds.kind import GRAVITY
+from models.parts.stops.stop import Stop, StopTable
 
 WEAKEST, FIRMEST = 0.01, 10.0  # damping ratio of a measured damper
 FASTEST = 5.0  # m/s: a table beyond it is of a firm damper, or in inches
@@ -54,3 +58,23 @@ def stop_doubts(stop: Stop, load: float | None) -> Iterator[str]:
         if load and not WEAKEST_STOP <= max(law.force) / load <= FIRMEST_STOP:
             largest = f"the largest force is {round(max(law.force), 1):g} N, but the static load is {round(load)} N"
             yield f"{largest}; check that forces are in N"
+
+
+def suspension_doubts(vehicle: Any) -> list[str]:
+    """Returns remarks on tables of springs, dampers and stops that are probably in another unit or of the other sign."""
+    kind, parameters, curves, dampers = vehicle.kind, vehicle.parameters, vehicle.curves, vehicle.dampers
+    loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), vehicle.limits.stops(kind.suspensions)
+    doubts = dict[str, None]()
+    for part in kind.suspensions:
+        load, k, ratio = loads.get(part.deflection), wheel.get(part.stiffness), part.motion_ratio(parameters)
+        critical = 2 * math.sqrt(k * load / GRAVITY) / ratio**2 if k and load else None
+        pair = dampers[part.force].pair if part.force in dampers else None
+        pairs = {"[actuators]": (pair.soft, pair.hard)} if pair is not None else {}
+        pairs |= {part.damping: (one, one)} if (one := curves.get(part.damping)) is not None else {}
+        for name, both in pairs.items():
+            doubts |= dict.fromkeys(f"{name}: {said}" for said in damper_doubts(*both, critical))
+        if (spring := curves.get(part.stiffness)) is not None:
+            doubts |= dict.fromkeys(f"{part.stiffness}: {said}" for said in length_doubts(max(-spring.x[0], spring.x[-1])))
+        for side, stop in zip(SIDES, stops.get(part.deflection, ()), strict=False):
+            doubts |= dict.fromkeys(f"[limits] {side} stop: {said}" for said in stop_doubts(stop, load and load / ratio))
+    return list(doubts)

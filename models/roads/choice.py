@@ -9,9 +9,9 @@ from models.common.files import path_from
 from models.common.schema import keys, read_text
 from models.roads.description import ROADS
 from models.roads.iso8608 import Iso8608, long_enough
-from models.roads.load import Load
-from models.roads.load_choice import choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import choose_load
+from models.roads.loads.load import Load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.opencrg import Surface, read_surface
 from models.roads.profile import Profile
 from models.roads.rig import Rig

@@ -8,8 +8,8 @@ from models.common.checks import check
 from models.common.errors import InputError, list_names, short_repr
 from models.common.schema import read
 from models.roads.iso8608 import Iso8608
-from models.roads.load_choice import described_loads
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import described_loads
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv

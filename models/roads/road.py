@@ -102,7 +102,7 @@ class Road(ABC):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
 
-    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+    def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
         """Returns the height at which physics holds it over steps [m], by their middle times t [s], same shape: the one at t.
 
         A measured road, whose points may be closer than a step, is held at its mean height over the step.
@@ -348,7 +348,7 @@ class Departure(DerivedRoad):
         """Returns the height over the steady motion."""
         return self.road.departure(t, side)
 
-    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+    def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
         """Returns its mean over steps."""
         return self.road.mean_departure(t, timestep, side)
 
@@ -384,9 +384,9 @@ class ScaledRoad(DerivedRoad):
         """Returns the multiplied height."""
         return self.factor * self.road.displacement(t, side)
 
-    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+    def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
         """Returns the multiplied height of the steps."""
-        return self.factor * self.road.held(t, timestep, side)
+        return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied velocity."""
@@ -547,7 +547,7 @@ class RoadInput:
     def held_heights(self, middle: Array) -> Array:
         """Returns heights at which MuJoCo holds the road [m], shape (T, r), over steps with these middle times [s]."""
         return under_wheels(
-            lambda t, side: self.relative_road.held(t, self.timestep, side), self.relative_road, self.vehicle, middle
+            lambda t, side: self.relative_road.held_height(t, self.timestep, side), self.relative_road, self.vehicle, middle
         )
 
     @cached_property
@@ -575,7 +575,7 @@ class RoadInput:
         return np.diff(self.heights, axis=0, append=end) / self.timestep
 
     @cached_property
-    def held(self) -> Array:
+    def held_inputs(self) -> Array:
         """All that is held over the steps: loads, and if tyres damp the road's velocities, shape (T, l) or (T, l + r)."""
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
@@ -583,13 +583,13 @@ class RoadInput:
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs of the signals of the samples: the loads there, and the road's velocities as held; shape as of `held`."""
-        return self.held if self.earlier else np.hstack([self.loads, self.held[:, self.loads.shape[1] :]])
+        """Inputs of the signals of the samples: the loads there, and the road's velocities as held; shape as of `held_inputs`."""
+        return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
         """Inputs of the measurements, before new forces: the loads at the samples, and velocities held until then."""
-        before = np.concatenate([np.zeros_like(self.held[:1]), self.held[:-1]])
+        before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
     def vertical_edges(self, held: bool = True) -> dict[int, Edge]:

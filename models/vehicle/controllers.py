@@ -23,7 +23,6 @@ from models.laws.law import Design, T, no_design
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.limits_and_implementation import NO_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import PUSHING_ACTUATORS
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
 RESERVED_NAMES = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+PUSHING_ACTUATORS = "force"  # value of `actuators` in a controller's section
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,17 @@ from typing import Any
 from models.characteristics.adjustable_range import ActuatorSection
 from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.characteristics.ratio_table import RatioSection
-from models.characteristics.stop_section import StopSection
-from models.characteristics.stops import places_of
 from models.common.schema import NUMBER, Section, described_key, json_schema
 from models.kinds.seat import Seat
 from models.kinds.seated_kind import seated_kind
 from models.laws.filter import FilterSection
 from models.parts.element import PartSite, element_kinds
+from models.parts.stops.section import StopSection
+from models.parts.stops.stop import places_of
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.sections import ROAD, WEIGHT, WeightSection
+from models.vehicle.performance import ROAD, WEIGHT, WeightSection
 from models.vehicle.vehicle import LIFTED, PLANES, VehicleFile, kind
 
 TABLE = {"type": "object"}

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from models.characteristics import STOP, STOP_KEYS, STOP_NAMES
-from models.characteristics.stop_section import StopPair, StopSection
 from models.common.arrays import Array
 from models.common.checks import is_finite
 from models.common.errors import InputError, short_repr
@@ -17,10 +16,11 @@ from models.common.extensions import FEATURES
 from models.common.printed import rough
 from models.common.schema import HERE, SI, BySignal, Choice, Flag, Integer, ReadBy, Section, read
 from models.common.units import in_unit
+from models.parts.stops.section import StopPair, StopSection
 
 if TYPE_CHECKING:
-    from models.characteristics.stops import BumpAndRebound
     from models.kinds.kind import Suspension
+    from models.parts.stops.stop import BumpAndRebound
 
 ORDERS = ("force", "command")  # of `Limits.limit`
 MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this

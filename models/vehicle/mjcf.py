@@ -206,7 +206,7 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
     """Refuses a model that lacks a name of its equations."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
-    parts = [part for name in vehicle.sensed for part in kind.combined.get(name, {name: 1.0})]
+    parts = [part for name in vehicle.sensed_signals for part in kind.combined.get(name, {name: 1.0})]
     missing += [f"sensor {part!r}" for part in dict.fromkeys(parts) if part not in sensors]
     actuators = len(_inputs(model))
     if actuators != len(vehicle.linear_model.inputs):
@@ -238,7 +238,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
         )
     if model.nq != model.nv:
         raise InputError(f"{where}: free and ball joints are not allowed; use slide and hinge joints")
-    for name in vehicle.sensed:
+    for name in vehicle.sensed_signals:
         for part in vehicle.kind.combined.get(name, {name: 1.0}):
             sensor = model.sensor(part)
             count = int(sensor.dim[0])
@@ -347,7 +347,7 @@ def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
     Half of a motion then does not change its reading by half. The motion is given, whatever forces it takes.
     """
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
-    outputs, combined = vehicle.sensed, vehicle.kind.combined
+    outputs, combined = vehicle.sensed_signals, vehicle.kind.combined
     names = list(dict.fromkeys(part for name in outputs for part in combined.get(name, {name: 1.0})))
 
     def read(motion: Array) -> Array:

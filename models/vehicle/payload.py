@@ -18,14 +18,14 @@ import numpy as np
 
 from models.characteristics import SIDES
 from models.characteristics.curve import ForceCurve
-from models.characteristics.stop_section import StopPair, StopSection
-from models.characteristics.stops import Stop
 from models.characteristics.surface import ForceSurface
 from models.common.errors import InputError, error_in
 from models.common.schema import SI, Section, read
 from models.kinds.kind import GRAVITY, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
+from models.parts.stops.section import StopPair, StopSection
+from models.parts.stops.stop import Stop
 from models.vehicle.limits_and_implementation import Limits
 
 PLACE = ("x", "z")

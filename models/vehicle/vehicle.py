@@ -1,6 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,18 +14,25 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, error_in, list_names, short_repr
-from models.common.extensions import FEATURES
+from models.common.extensions import FEATURES, PARTS
 from models.common.files import STDOUT, parse_toml, path_from, read_text
 from models.common.schema import AnyTable, BySignal, Section, Text, keys, locate_errors, read
 from models.document.document import Document
 from models.document.text import ShownResult, facts
 from models.kinds.kind import HERE, RidePoints, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.plausibility import remarks
+from models.kinds.plausibility import known_quantities, remarks
 from models.kinds.signals import names_of, of_dampers
 from models.laws.law import Design, T
 from models.parts.part import Parts
-from models.vehicle.controllers import NOMINAL, RESERVED_NAMES, ControllerEntry, DesignConditions, read_controllers
+from models.vehicle.controllers import (
+    NOMINAL,
+    PUSHING_ACTUATORS,
+    RESERVED_NAMES,
+    ControllerEntry,
+    DesignConditions,
+    read_controllers,
+)
 from models.vehicle.limits_and_implementation import (
     Implementation,
     ImplementationSection,
@@ -33,19 +41,7 @@ from models.vehicle.limits_and_implementation import (
     read_limits,
 )
 from models.vehicle.names import WITHOUT, named_files
-from models.vehicle.sections import (
-    PUSHING_ACTUATORS,
-    WeightedSum,
-    check_weights,
-    curve_notes,
-    curves_and_parameters,
-    known_quantities,
-    ratio_doubts,
-    read_performance,
-    rebalanced_curves,
-    resolved_text,
-    suspension_doubts,
-)
+from models.vehicle.performance import WeightedSum, check_weights, read_performance
 
 if TYPE_CHECKING:
     from models.characteristics.adjustable_range import Damper
@@ -250,8 +246,10 @@ class Vehicle(ShownResult):
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
         """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
         parameters = {**self.parameters, **values}
-        curves = rebalanced_curves(self.kind, self.curves, self.parameters, parameters)
-        return replace(self, parameters=parameters, curves=curves, **fields)
+        if self.curves:
+            rebalanced = FEATURES.load("curves of suspensions").rebalanced_curves
+            fields |= {"curves": rebalanced(self.kind, self.curves, self.parameters, parameters)}
+        return replace(self, parameters=parameters, **fields)
 
     def adjusted(self, force: str) -> bool:
         """Returns True if an adjustable damper replaces the own damper at a force."""
@@ -268,7 +266,7 @@ class Vehicle(ShownResult):
     @property
     def inertial(self) -> bool:
         """True if a suspension has a force that depends on the second derivative of its deflection."""
-        return any(one.added.inertance for one in self.parts)
+        return any(one.added_line.inertance for one in self.parts)
 
     @property
     def linearised(self) -> "Vehicle":
@@ -286,10 +284,10 @@ class Vehicle(ShownResult):
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
         """Returns a linear model of the vehicle type with the lines of all parts."""
-        more = [one for one in self.parts if one.added.sloped] if self.elements else []
+        more = [one for one in self.parts if one.added_line.sloped] if self.elements else []
         if not more:
             return model
-        names, lines = [one.deflection for one in more], [one.added for one in more]
+        names, lines = [one.deflection for one in more], [one.added_line for one in more]
         slopes = ("stiffness", "damping", "inertance")
         stiffness, damping, inertance = (np.array([getattr(line, name) for line in lines]) for name in slopes)
         from models.kinds.at_wheels import force_effects
@@ -320,7 +318,7 @@ class Vehicle(ShownResult):
         return model.Bl, model.Dl
 
     @property
-    def sensed(self) -> tuple[str, ...]:
+    def sensed_signals(self) -> tuple[str, ...]:
         """Output signals of the linear model for which MuJoCo has sensors: all but the own states of parts."""
         outputs = self.linear_model.outputs
         return outputs[: len(outputs) - len(self.kind.of_parts)]
@@ -558,11 +556,16 @@ class Vehicle(ShownResult):
         """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
+        doubts = list[str]()
+        if curves or self.dampers or self.limits.stopped:
+            doubts += FEATURES.load("doubts about parts").suspension_doubts(self)
+        if curves:
+            doubts += FEATURES.load("curves of suspensions").curve_notes(curves, self.kind, self.parameters)
+        if self.kind.ratios:
+            doubts += FEATURES.load("curves of suspensions").ratio_doubts(self.kind, self.parts.strokes)
         return [
             *remarks(known_quantities(self)),
-            *suspension_doubts(self),
-            *curve_notes(curves, self.kind, self.parameters),
-            *(ratio_doubts(self.kind, self.parts.strokes) if self.kind.ratios else []),
+            *doubts,
             *(f"{name}{PERSON} {self.kind.name}.py" for name in self.ride_points.people if not self.ride_points.named),
         ]
 
@@ -590,7 +593,7 @@ class Vehicle(ShownResult):
         if (self.filters or self.sums) and self.integrals:
             FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers and not entry.forced:
-            FEATURES.load("parts").part_class("adjustable damper").check_measured(entry.name, entry.measured, self)
+            PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
@@ -637,6 +640,18 @@ def read_vehicle(file: str | Path) -> Vehicle:
         return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
 
 
+def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
+    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
+
+    Raises:
+        InputError: the text is not TOML, or one of these files is missing or wrong.
+    """
+    if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
+        return text, ()
+
+    return FEATURES.load("files named in vehicle files").with_contents(text, folder)
+
+
 def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
     """Returns a vehicle from the text of its file.
 
@@ -660,7 +675,13 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     numbers = given.parameters
     if given.seat is not None:
         vehicle_kind, numbers = FEATURES.load("seats").read_seat(given.seat, vehicle_kind, numbers)
-    curves, parameters, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
+    curves = dict[str, "ForceCurve"]()
+    if given.curves:
+        curves_and_parameters = FEATURES.load("curves of suspensions").curves_and_parameters
+        curves, numbers, vehicle_kind = curves_and_parameters(given.curves, numbers, vehicle_kind)
+    with error_in("[parameters]"):
+        checked = vehicle_kind.check_each(numbers)
+    parameters = vehicle_kind.check(checked)
     limits = read_limits(given.limits, vehicle_kind.suspensions) if given.limits else Limits()
     if given.payload:
         parameters, limits, vehicle_kind = FEATURES.load("payload").apply_payload(

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from models.common.command import Parser
 from models.common.errors import InputError
+from models.common.extensions import METRICS
 from sim.campaign import HERE, MOST_RUNS
 from sim.drive import RUNS_AT_ONCE
-from sim.studies.ride.registry import METRICS
 
 MOST_WORKERS = 1024
 CHECKS = ("runs", "seed")  # options of --verify, and of all else

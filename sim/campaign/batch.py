@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from models.common.extensions import OBSERVERS
 from models.common.printed import finite
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.road import track_width
@@ -17,7 +18,6 @@ from sim.drive.driver import Failure
 from sim.drive.loop import DIVERGENCE_LIMIT, Block
 from sim.drive.regime import FLAT, LAW_DIVERGED, LAW_OVERFLOW
 from sim.observers.ends import Ends, RunEnd
-from sim.observers.registry import observer
 from sim.observers.results import WHEN
 from sim.studies.ride.expected import expect, remaining_transient
 from sim.studies.ride.metrics import Meter
@@ -80,7 +80,7 @@ class RowObserver:
 
         first = campaign.first if random else 0
         self._meter, self._ends = meter(first), Ends(batch)
-        twin = observer("twin") if _is_exact(runs) else None
+        twin = OBSERVERS.load_if_known("twin") if _is_exact(runs) else None
         self._linear = None if twin is None or random else meter(first)
         self._twin = None if twin is None else twin(batch, self._ends, self._linear)
 

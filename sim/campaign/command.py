@@ -32,7 +32,7 @@ from sim.campaign.summary import compare, compared_lines, describe, summarise, t
 from sim.campaign.verify import verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.drive import RUNS_AT_ONCE
-from sim.studies.ride.standing import record_of_standings
+from sim.studies.ride.score_table import scores_record
 
 FINISHED_ADVICE = "give the folder with the results of a finished campaign"
 MOST_OF_A_RUN = 0.99  # on a road from a file
@@ -62,10 +62,10 @@ def run_campaign(options: argparse.Namespace) -> int:
         if options.merge:
             parts.remove(folder)
         stage("results")
-        entries, standings = summarise(plan, store), compare(plan, store)
+        entries, scores = summarise(plan, store), compare(plan, store)
         choices = [choose(plan, store, request, vehicle) for vehicle in campaign.vehicles] if request is not None else []
         within = all(choice.within for choice in choices)
-        figure = trade_off(plan, entries, standings) if options.picture is not None else None
+        figure = trade_off(plan, entries, scores) if options.picture is not None else None
         saved = None
         if options.save is not None and within:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
@@ -83,7 +83,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             "new": progress.done,
             "damaged": store.damaged,
             "summary": entries,
-            "compared": [{"vehicle": name, **record_of_standings([*some.values()])} for name, some in standings.items()],
+            "compared": [{"vehicle": name, **scores_record([*some.values()])} for name, some in scores.items()],
             "best": [choice.record for choice in choices],
             "saved_controller": saved,
             **output_paths(outputs),
@@ -100,7 +100,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         lines += ["", *text_lines(describe(entries), "full" if options.verbose else "normal")]
         lines += [] if options.verbose else ["-v adds ride, travel and load on each road: rms, 95th percentile, prediction"]
     lines += written_lines(outputs)
-    lines += compared_lines(campaign, standings, {choice.vehicle: choice.candidate for choice in choices})
+    lines += compared_lines(campaign, scores, {choice.vehicle: choice.candidate for choice in choices})
     lines += ["", *text_lines(Document("", tuple(choice.statement for choice in choices)))] if choices else []
     lines += [f"saved as controller {saved}"] if saved is not None else []
     say(lines)

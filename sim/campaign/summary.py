@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import as_name, percent
+from models.common.extensions import METRICS
+from models.common.printed import as_name, percent, three_digits
 from models.document.document import Block, Document, Table, notes
 from models.document.field import Field
 from models.document.figure import OTHERS, Curve, Figure, Panel, styles
@@ -26,21 +27,12 @@ from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import ROOT_MEAN_SQUARE, Metric, over_runs
-from sim.studies.ride.registry import metric_classes
-from sim.studies.ride.standing import (
-    FIELDS,
-    FORCES,
-    Score,
-    columns_of,
-    digits,
-    headline,
-    standing_lines,
-    standing_over_runs,
-)
+from sim.studies.ride.score_table import headline, score_lines
+from sim.studies.ride.scores import FIELDS, FORCES, Score, columns_of, score_over_runs
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import Designer
 
-HEADLINES: tuple[type[Metric], ...] = tuple(one for one in metric_classes().values() if one.headline and not one.effort)
+HEADLINES: tuple[type[Metric], ...] = tuple(one for one in METRICS.load_all().values() if one.headline and not one.effort)
 LINES = {one.headline: f"{one.headline} [{one.unit.replace('s2', 's²')}]" for one in HEADLINES}
 
 
@@ -51,26 +43,26 @@ def headlines(vehicle: Vehicle) -> dict[str, tuple[Metric, ...]]:
 
 
 def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Score]]:
-    """Returns the standings of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
-    standings: dict[str, dict[Candidate, Score]] = {}
+    """Returns the scores of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
+    scores: dict[str, dict[Candidate, Score]] = {}
     for name, vehicle in plan.campaign.vehicles.items():
         metrics = list(dict.fromkeys(metric for some in columns_of(vehicle).values() for metric in some))
         table = store.read(metrics)
         values = {metric: table[metric].to_numpy().astype(float) for metric in metrics}
-        standings[name] = {}
+        scores[name] = {}
         for candidate, runs in sorted(plan.candidates(name).items(), key=lambda item: item[0].controller != PASSIVE):
-            one = standing_over_runs(
+            one = score_over_runs(
                 vehicle, candidate.name, {metric: each[runs] for metric, each in values.items()}, plan.distances[runs]
             )
-            standings[name][candidate] = replace(one, sound=plan.driver(name, candidate).growth == 0)
-    return standings
+            scores[name][candidate] = replace(one, sound=plan.driver(name, candidate).growth == 0)
+    return scores
 
 
-Standings = Mapping[str, Mapping[Candidate, Score]]  # by vehicle
+Scores = Mapping[str, Mapping[Candidate, Score]]  # by vehicle
 
 
-def compared_lines(campaign: Campaign, standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
-    """Returns a table of standings for each vehicle; of variants only those that have the least of something.
+def compared_lines(campaign: Campaign, scores: Scores, chosen: Mapping[str, Candidate | None]) -> list[str]:
+    """Returns a table of scores for each vehicle; of variants only those that have the least of something.
 
     Args:
         campaign: the campaign, whose random roads are measured from `settle` on.
@@ -78,7 +70,7 @@ def compared_lines(campaign: Campaign, standings: Standings, chosen: Mapping[str
     """
     lines, settles = [], any(road.stationary for road in campaign.roads)
     begins = f", random roads from {campaign.settle:g} s on (settle)" if settles else ""
-    for vehicle, every in standings.items():
+    for vehicle, every in scores.items():
         shown = {chosen.get(vehicle)}
         for one in FIELDS:
             counted = {who: one.value(each) for who, each in every.items() if one not in FORCES or who.controller != PASSIVE}
@@ -88,7 +80,7 @@ def compared_lines(campaign: Campaign, standings: Standings, chosen: Mapping[str
         some = [each for who, each in every.items() if who.variant is None or who in shown]
         absent = "; -: some runs have no metrics" if any(not any(each.values.values()) for each in some) else ""
         left = f"; {len(every) - len(some)} variants that are best in no column are omitted" if len(every) > len(some) else ""
-        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, over all runs, with their largest peaks{begins}{absent}{left}")]
+        lines += ["", vehicle, *score_lines(some, f"MuJoCo, over all runs, with their largest peaks{begins}{absent}{left}")]
     return lines
 
 
@@ -224,7 +216,7 @@ def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[Block]:
     if not (1 < len(by_place) <= SEEN and len(names) <= SEEN):
         return []
     place = Field[Rides]("ride, rms [m/s²]", lambda row: row[0])
-    columns = (place, *(Field[Rides](name, lambda row, name=name: row[1].get(name), digits) for name in names))
+    columns = (place, *(Field[Rides](name, lambda row, name=name: row[1].get(name), three_digits) for name in names))
     return [Table.of("ride", "Ride on each road.", columns, by_place.items())]
 
 
@@ -257,12 +249,12 @@ ACROSS, UP = "load", "ride"
 ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]"
 
 
-def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], standings: Standings) -> Figure | None:
+def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], scores: Scores) -> Figure | None:
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
         entries: results of the campaign, see `summarise`.
-        standings: standings over all runs, see `compare`.
+        scores: scores over all runs, see `compare`.
 
     Returns:
         None if no run has both metrics.
@@ -294,7 +286,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]], standings: Stand
         return None
     drawn = {curve.label: curve for panel in panels for curve in panel.curves}
     absent = [label for label in looks if label not in drawn]
-    said = [f"{vehicle}: " * several + headline([*each.values()]) for vehicle, each in standings.items()]
+    said = [f"{vehicle}: " * several + headline([*each.values()]) for vehicle, each in scores.items()]
     crossed = any(curve.marker == "x" for curve in drawn.values())
     title = (
         "Ride against road holding. Lower points are more comfortable; points further left hold the road better. Points are root "

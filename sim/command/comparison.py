@@ -1,10 +1,8 @@
 """Parts shared by commands that drive controllers: their choice, warnings, text, view and logs."""
 
 import argparse
-import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +14,7 @@ from models.common.printed import Whole, pasted_path, show
 from models.document.document import Document, notes, statements
 from models.document.text import text_lines
 from models.roads.road import Road
-from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.drive.regime import FLAT, REGIME_ENDS, end_times
 from sim.drive.response import Response
 from sim.runs.report import FEW, describe_run, sentences, share_statements
 from sim.runs.run import Run, run_controllers
@@ -29,8 +25,6 @@ from synth.controller.report import study_notes
 
 if TYPE_CHECKING:
     from models.common.logs.measured_log import MeasuredLog
-    from sim.studies.ride.run_metrics import RunMetrics
-    from sim.studies.ride.standing import Score
 
 
 def controllers_of(
@@ -259,46 +253,3 @@ def run_lines(runs: Sequence[Run], passive: Response | None = None) -> list[str]
         studied = [(run.controller.name, text) for run in runs for text in study_notes(run.vehicle, run.controller)[:1]]
         lines = [*text_lines(Document("", (*notes(*direct_feedback(margins), *warnings(margins)), *statements(studied)))), *lines]
     return ["", *lines, *(["-v adds gains, every signal and the checks behind the verdict"] if few else [])] if lines else []
-
-
-def standings_of(
-    runs: Sequence[Run],
-    passive: Response,
-    samples: tuple[int, int | None] = (0, None),
-    measured: "Sequence[RunMetrics]" = (),
-    without: Sequence[str] = (),
-    title: str = "",
-) -> "list[Score]":
-    """Returns the standing of every controller, passive first, and each run without a part after the implemented loop.
-
-    Args:
-        samples: first measured sample, and the one after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples, if known.
-        without: part of the vehicle that each run omits; empty if no run omits a part.
-        title: title of the vehicle, among several.
-    """
-    from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import score_of, strokes_used, without_unsound
-
-    road, (first, end) = runs[0].road, samples
-    known: dict[int, Mapping[str, float | None]] = {
-        id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
-        for run, of_run in zip(runs, measured, strict=False)
-    }
-    rows = [(PASSIVE, "", runs[0].vehicle, passive)]
-    parts = without or [""] * len(runs)
-    rows += [
-        (run.controller.name, part, run.vehicle, run.physics)
-        for run, part in zip(runs, parts, strict=True)
-        if run.physics is not passive
-    ]
-    order, standings = [name for name, *_ in rows], []
-    for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
-        values = known.get(id(response))
-        if values is None:
-            broken = math.isfinite(response.diverged) or math.isfinite(end_times(vehicle, response)[REGIME_ENDS.index(FLAT)])
-            values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
-        one = score_of(vehicle, name, values)
-        strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
-        standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
-    return without_unsound(standings, [run.controller.name for run in runs if run.controller.growth])

@@ -24,7 +24,8 @@ from sim.command.road_options import end_lines, gaps, starts_later, with_start
 from sim.drive.response import Response
 from sim.runs.report import FEW, HALF_STEP, RUN, share_statements, verdicts
 from sim.runs.run import Run, passive_beside, run_controllers, sample_times
-from sim.studies.ride.standing import record_of_standings, standing_lines
+from sim.studies.ride.score_table import score_lines, scores_record
+from sim.studies.ride.scores import scores_of_runs
 from synth.vehicle.designer import Designer
 
 if TYPE_CHECKING:
@@ -57,12 +58,12 @@ class VehicleRuns:
     fits: "Sequence[Mapping[str, SignalFit]]" = ()
 
     @property
-    def built(self) -> list[Run]:
+    def implemented_runs(self) -> list[Run]:
         """The runs of the implemented loops."""
         return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
 
     @cached_property
-    def shown(self) -> list[Run]:
+    def named_runs(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
         pairs = zip(self.runs, self.without, strict=True)
         return [_rename_run(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in pairs]
@@ -125,7 +126,7 @@ def drive(
         _drive_vehicle(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()
     ]
     runs = [run for each in driven for run in each.runs]
-    shown = [run for each in driven for run in each.shown]
+    shown = [run for each in driven for run in each.named_runs]
     measured, beside = None, {}
     if log is not None:
         measured = print_remarks(
@@ -168,10 +169,8 @@ def drive(
         of_log = partial(lambda title: result(title) | beside, each.title)
         logs.append(comparison.record_command_runs(options, each.vehicle, controllers, each.logged, of_log, aligned))
     outputs = comparison.write_histories(options, shown, where(road), aligned)
-    standings = [
-        one
-        for each in driven
-        for one in comparison.standings_of(each.runs, each.passive, samples, each.metrics, each.without, each.title)
+    scores = [
+        one for each in driven for one in scores_of_runs(each.runs, each.passive, samples, each.metrics, each.without, each.title)
     ]
     if options.json:
         results = [result(each.title) for each in driven]
@@ -179,7 +178,7 @@ def drive(
         if left := sorted({name for one in results for name in one.get("left_out", ())}):
             whole["left_out"] = left
         paths = logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)}
-        last = {"compared": record_of_standings(standings), "unstable": unstable, **output_paths(outputs), "logs": paths}
+        last = {"compared": scores_record(scores), "unstable": unstable, **output_paths(outputs), "logs": paths}
         print_json(whole | step | last)
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
@@ -194,7 +193,7 @@ def drive(
         about = f"MuJoCo, {words}"
         if len(shown) > FEW and not (options.verbose or options.brief):
             about += "; -v prints more"
-        lines += ["", *standing_lines(standings, about)]
+        lines += ["", *score_lines(scores, about)]
         if measured is not None:
             lines += ["", *text_lines(measured.describe([run.controller.name for run in shown]), "normal")]
         lines += [*written_lines(outputs), *comparison.log_lines(logs, options.brief, shown)]
@@ -204,7 +203,7 @@ def drive(
         say(lines)
     for one in logs:
         comparison.view(options, one)
-    done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
+    done = all({*each.names} == {run.controller.name for run in each.implemented_runs} for each in driven)
     return 0 if done and all(run.passed for run in runs) and (options.allow_unstable or not unstable) else 1
 
 
@@ -270,7 +269,7 @@ def _result(options: Namespace, each: VehicleRuns, measured: tuple[float, float 
             "definitions": DEFINITIONS,
             "iri": ride.roughness(ride.driven_roughness(each.vehicle, road, time)),
         }
-    return result | comparison.left_out_object(each.names, [run.controller.name for run in each.built])
+    return result | comparison.left_out_object(each.names, [run.controller.name for run in each.implemented_runs])
 
 
 def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end: float) -> list[str]:
@@ -279,15 +278,15 @@ def _above(options: Namespace, driven: Sequence[VehicleRuns], start: float, end:
     Args:
         start, end: times between which the ride is measured [s].
     """
-    shown, metrics = [run for each in driven for run in each.shown], [one for each in driven for one in each.metrics]
+    shown, metrics = [run for each in driven for run in each.named_runs], [one for each in driven for one in each.metrics]
     lines = list[str]()
     if metrics:
         start_lines = FEATURES.load("start of a run").start_lines
         for each in driven:
-            lines += start_lines(each.shown[: len(each.built)], starts_later(options))
+            lines += start_lines(each.named_runs[: len(each.implemented_runs)], starts_later(options))
     if options.verbose:
         for each in driven:
-            for run, own in zip_longest(each.shown, each.metrics):
+            for run, own in zip_longest(each.named_runs, each.metrics):
                 lines += comparison.run_lines([run], each.passive)
                 if own is not None:
                     ride = FEATURES.load("ride of a run")

@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen_controllers, one_chosen, print_json, print_remarks
+from models.common.extensions import STUDIES
 from models.common.printed import Stages, say
-from sim.studies.registry import command_of, study
+from sim.studies.command_name import command_of
 from sim.studies.study import StudyRequest
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options, vehicle file or output file, or a controller that the study refuses.
     """
-    one = study(name)
+    one = STUDIES.load(name)(name)
     parser = Parser(command_of(name), one.description, one.epilog, one.page)
     one.add_options(parser)
     options = parser.parse_args(arguments)

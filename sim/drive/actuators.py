@@ -62,7 +62,7 @@ class Actuators:
         more = len(closing_names(first)) - self.forces
         self.closing = np.zeros((self.forces + more, readout.of_state.shape[1]))
         self.at_rest = np.pad(self._of.at_rest, (0, more))
-        self.closing[: self.forces][adjustable, -readout.stretching.shape[1] :] = -readout.stretching[adjustable]
+        self.closing[: self.forces][adjustable, -readout.stretching_rates.shape[1] :] = -readout.stretching_rates[adjustable]
         self.lags, self.over_travel = bool(np.any(readout.lagging[adjustable] >= 0)), bool(turning or more)
         # Ramps of dampers' curves are the last actuators of the model, with the commands of their dampers.
         ramps = {

@@ -19,16 +19,16 @@ class State:
 
     Attributes:
         motion: positions and velocities of MuJoCo, own states of parts, and activations, shape (nq + nv + k + na,).
-        acting: the forces that acted before [N], shape (m,).
-        law, undelayed: states of the controller, and of the second one, as they are run.
-        pending: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).
+        acting_forces: the forces that acted before [N], shape (m,).
+        law, undelayed_forces: states of the controller, and of the second one, as they are run.
+        pending_forces: forces that do not act yet, or act at the start of the first sample, the next first [N], shape (d, m).
     """
 
     motion: Array
-    acting: Array
+    acting_forces: Array
     law: Array
-    undelayed: Array
-    pending: Array
+    undelayed_forces: Array
+    pending_forces: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Case:
         driver: controller, or known commands.
         road: the road, with loads on the body if there are any.
         start: state at the start; None for rest, or for the steady motion in which a measured road starts.
-        undelayed: second controller without `[implementation]`, whose forces are added to those of the first; None without one.
+        undelayed_controller: second controller without `[implementation]`, whose forces are added to those of the first, or None.
         earlier: see `RoadInput`.
         input: the road at the sample times, if it is computed already; None otherwise.
     """
@@ -49,7 +49,7 @@ class Case:
     driver: RunDriver
     road: Road
     start: State | None = None
-    undelayed: Controller | None = None
+    undelayed_controller: Controller | None = None
     earlier: bool = False
     input: RoadInput | None = None
 
@@ -74,10 +74,9 @@ class Batch:
         midway: heights at which MuJoCo holds them over the steps.
         beyond: road heights at the samples after the last [m], shape (E, N, r), as far as controllers preview them.
         velocities: rates of the heights at the samples [m/s], shape (T, N, r); None if no observer needs them.
-        held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
-            (T, N, l + r); None if there are none.
-        effects: loads in the signals of the samples and in the measurements, see `RoadInput.in_signals`, each as `held`; None
-            without loads.
+        held_inputs: effects beside the road's heights that MuJoCo holds over steps, see `RoadInput.held_inputs`, shape (T, N, l)
+            or (T, N, l + r); None if there are none.
+        effects: loads in the signals of the samples and in the measurements, see `RoadInput.in_signals`; None without loads.
         sides: road heights on the other side of vertical edges [m], shape (N, r), by sample.
         failures: failures of laws in Python by run: such a run continues without forces. None to raise the first failure.
         numbers: numbers of the runs among all cases, which `failures` has.
@@ -91,7 +90,7 @@ class Batch:
     midway: Array
     beyond: Array
     velocities: Array | None
-    held: Array | None
+    held_inputs: Array | None
     effects: tuple[Array, Array] | None
     sides: Mapping[int, Array]
     failures: dict[int, Failure] | None
@@ -122,7 +121,7 @@ class Batch:
     def part(self, runs: slice) -> "Batch":
         """Returns the batch of some of the runs."""
         arrays = {name: getattr(self, name)[:, runs] for name in ("now", "midway", "beyond")}
-        more = {name: None if (one := getattr(self, name)) is None else one[:, runs] for name in ("velocities", "held")}
+        more = {name: None if (one := getattr(self, name)) is None else one[:, runs] for name in ("velocities", "held_inputs")}
         return replace(
             self,
             cases=self.cases[runs],
@@ -174,7 +173,7 @@ def batch_of(
         same = _same_roads(inputs) if count > 1 else inputs
         now, midway, velocities = (np.stack([getattr(one, name) for one in same], axis=1) for name in ROAD_ARRAYS)
         beyond = np.stack([road.ahead(ahead) for road in same], axis=1)
-    held = np.stack([road.held for road in inputs], axis=1) if any(road.has_held_inputs for road in inputs) else None
+    held = np.stack([road.held_inputs for road in inputs], axis=1) if any(road.has_held_inputs for road in inputs) else None
     effects = None
     if any(road.loaded for road in inputs):
         effects = np.stack([road.in_signals for road in inputs], axis=1), np.stack([road.in_readings for road in inputs], axis=1)

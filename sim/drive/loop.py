@@ -127,7 +127,7 @@ class Loop:
         # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road
         # that the reading lacks is added.
         readout = self.readout
-        controllers = [one for case in batch.cases for one in (case.driver, case.undelayed) if one is not None]
+        controllers = [one for case in batch.cases for one in (case.driver, case.undelayed_controller) if one is not None]
         named = {name for one in controllers for name in one.measured}
         self.seen = [i for i, name in enumerate(readout.names) if name in named]
         self.stage = sensed_stage(readout, np.isin(readout.names, [*named]))
@@ -139,7 +139,7 @@ class Loop:
 
     def _computers(self, batch: Batch, actuators: Actuators) -> tuple[list[Computer], list[Computer]]:
         """Returns the started computers of a batch, and those of its second controllers without implementation."""
-        vehicles, seconds = batch.vehicles, [one.undelayed for one in batch.cases]
+        vehicles, seconds = batch.vehicles, [one.undelayed_controller for one in batch.cases]
         how = [implementation_around(*one) for one in zip(batch.drivers, vehicles, strict=True)]
         first = self._group(batch, batch.drivers, vehicles, how, actuators)
         if not any(seconds):
@@ -235,7 +235,7 @@ class Loop:
         nq, moved, width = self.model.nq, self.model.nq + self.model.nv, of_reading.shape[2]
         motion, activations = physics.state[:, 1 : 1 + moved], physics.bind("act")  # (qpos, qvel) after the time
         own, sensed_to = states_of_parts(physics), width - readout.of_parts.shape[1]
-        measured, held = physics.bind("sensordata")[:, self.sensors], batch.held
+        measured, held = physics.bind("sensordata")[:, self.sensors], batch.held_inputs
         pushed, loads, (wheels, tyres) = physics.bind("qfrc_applied"), len(readout.load_dofs), readout.damped_tyres
         speeds = [loads + wheel for wheel in wheels]  # columns of the road's velocities among what is held
         early = np.repeat(self.model.sensor_needstage, self.model.sensor_dim) <= stage
@@ -249,11 +249,11 @@ class Loop:
         if starts:
             for i, one in starts.items():
                 motion[i], own[i], activations[i] = np.split(one.motion, [moved, moved + own.shape[1]])
-                actuators.apply(controls[i : i + 1], one.acting[None])
+                actuators.apply(controls[i : i + 1], one.acting_forces[None])
             for computer in computers:
-                computer.resume({i: (one.law, one.pending) for i, one in starts.items()}, commands)
+                computer.resume({i: (one.law, one.pending_forces) for i, one in starts.items()}, commands)
             for computer in undelayed:
-                computer.resume({i: (one.undelayed, ()) for i, one in starts.items()}, more)
+                computer.resume({i: (one.undelayed_forces, ()) for i, one in starts.items()}, more)
         physics.forward(stage=stage)
         sampled = {k for one in (*computers, *undelayed) for k in range(0, edges[-1], one.period)}
         names = (*(readout.names[i] for i in self.seen), *closing_names(vehicles[0]))

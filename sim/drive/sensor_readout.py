@@ -34,7 +34,7 @@ def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     actuators = (*model.actuator_gaintype, *model.actuator_biastype, *model.actuator_trnid[:, 0])
     elements = np.array([model.ntendon, model.nwrap, model.nu, *actuators])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
-    closing = readout.stretching if vehicle.dampers else np.zeros(0)
+    closing = readout.stretching_rates if vehicle.dampers else np.zeros(0)
     return b"".join(
         part.tobytes()
         for part in (elements, closing, readout.linear, readout.stage, used, readout.of_sensors, readout.of_road, readout.rest)
@@ -59,7 +59,7 @@ class Readout:
         has_road_feedthrough: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is
             then not enough.
         mocap: mocap index of every wheel's road.
-        stretching: map from qvel to the stretching rate of the inputs' actuators at equilibrium, shape (m, nv).
+        stretching_rates: map from qvel to the stretching rate of the inputs' actuators at equilibrium, shape (m, nv).
         lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
         load_dofs: degree of freedom along which each load pushes the body.
         damped_tyres: wheels whose tyres damp, and the actuator of each.
@@ -75,7 +75,7 @@ class Readout:
     rest: Array
     has_road_feedthrough: bool
     mocap: list[int]
-    stretching: Array
+    stretching_rates: Array
     lagging: Array
     load_dofs: list[int]
     damped_tyres: tuple[list[int], list[int]]
@@ -130,7 +130,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     names, own = vehicle.linear_model.outputs, len(vehicle.kind.of_parts)
     stage = np.zeros(len(names), dtype=int)
     of_sensors = np.zeros((len(names), model.nsensordata))
-    for i, name in enumerate(vehicle.sensed):
+    for i, name in enumerate(vehicle.sensed_signals):
         for part, factor in vehicle.kind.combined.get(name, {name: 1.0}).items():
             sensor = model.sensor(part)
             start, dim = int(sensor.adr[0]), int(sensor.dim[0])
@@ -175,7 +175,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         rest=rest,
         has_road_feedthrough=felt,
         mocap=mocap,
-        stretching=np.stack(stretching, axis=-1),
+        stretching_rates=np.stack(stretching, axis=-1),
         lagging=np.array(model.actuator_actadr[:inputs]),
         load_dofs=pushed_dofs(vehicle, model),
         damped_tyres=damped_tyres(vehicle, model),

@@ -55,12 +55,12 @@ class InspectedRun:
     """A run of a log, checked.
 
     Attributes:
-        recorded: the run in the log.
+        recorded_run: the run in the log.
         findings: findings about every claim.
         again: the run made again, or None if that was not possible.
     """
 
-    recorded: RecordedRun
+    recorded_run: RecordedRun
     findings: tuple[Finding, ...]
     again: Run | None
 
@@ -85,7 +85,7 @@ class Proof:
     def broken(self) -> list[str]:
         """Returns the parts of which something is not proved."""
         wrong = [f"the {one.part}" for one in self.findings if not one.proved]
-        wrong += [f"{one.part} of {run.recorded.name}" for run in self.runs for one in run.findings if not one.proved]
+        wrong += [f"{one.part} of {run.recorded_run.name}" for run in self.runs for one in run.findings if not one.proved]
         return list(dict.fromkeys(wrong))
 
     @property

@@ -26,10 +26,10 @@ from sim.drive.driver import RecordedForces, RunDriver
 from sim.drive.response import Response
 from sim.inspect.log import Log, RecordedRun
 from sim.linear.dampers import command_names
+from sim.linear.prediction import predict_run
 from sim.observers.recorder import record
 from sim.recording.run_log import MUJOCO
 from sim.runs.forces import read_forces
-from sim.runs.prediction import predict_run
 from sim.runs.run import Run, compare_runs, with_energy_balance
 from synth.controller.controller import AnyController, Controller, verify_record
 from synth.controller.problem import problem

@@ -18,11 +18,11 @@ from sim.runs.report import RUN, controller_record, verdict
 from sim.runs.signal_table import run_columns, write_columns
 
 INSPECTION_RECORD = Record[InspectedRun](
-    name="recorded.name",
-    samples=lambda one: max((len(response.times) for response in one.recorded.responses.values()), default=0),
+    name="recorded_run.name",
+    samples=lambda one: max((len(response.times) for response in one.recorded_run.responses.values()), default=0),
     findings="findings",
     controller=lambda one: controller_record(one.again.controller) if one.again else None,
-    road=lambda one: json.loads(one.recorded.claims.get("road", "null")),
+    road=lambda one: json.loads(one.recorded_run.claims.get("road", "null")),
     again=lambda one: RUN(one.again) if one.again else None,
 )
 RECORD = Record[Proof](
@@ -54,7 +54,7 @@ def describe(proof: Proof) -> Document:
 
 def _describe_run(one: InspectedRun) -> Document:
     """Returns a run of a log: its verdict, its samples, road and law, and the findings on it."""
-    run, title, about = one.again, f"run {one.recorded.name}", []
+    run, title, about = one.again, f"run {one.recorded_run.name}", []
     if run is not None:
         time, controller = run.prediction.time, run.controller
         title += f": {verdict(run).text}"
@@ -95,8 +95,8 @@ def write_signals(path: Path, proof: Proof) -> None:
     for one in proof.runs:
         states = controller_states(one.again.controller) if one.again else ()
         sources = {"mujoco": MUJOCO, "sampled": SAMPLED}.items()
-        responses = {source: as_response(proof.vehicle, one.recorded, name, timestep, states) for source, name in sources}
+        responses = {source: as_response(proof.vehicle, one.recorded_run, name, timestep, states) for source, name in sources}
         responses |= {"recomputed": one.again.prediction.sampled} if one.again else {}
-        columns += run_columns(one.recorded.name, responses)
+        columns += run_columns(one.recorded_run.name, responses)
         longest = max(longest, *(len(response.time) for response in responses.values()))
     write_columns(path, np.arange(longest) * timestep, columns)

@@ -11,7 +11,7 @@ over the step, held like a load.
 
 If a damper or a spring has a curve, the response is that of RK4 (`sim.linear.stepped`), whatever the exponential.
 
-Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
+Loads f on the body (`models/roads/loads/`) are held over a step as the road is, those of files at their means. They enter as u
 does, with Bl in the place of B. Signals at a sample, and measurements, are under the load there. A law with states, and a
 measured acceleration, make the state larger (`synth/plant/loop.py`), and the formulas stay as they are.
 
@@ -101,7 +101,7 @@ def disturbances(roads: Sequence[RoadInput]) -> dict[str, Array]:
     groups = [("midway", model.disturbances, MIDWAY), ("heights", model.disturbances, HEIGHT)]
     if any(road.has_held_inputs for road in roads):
         held = pushes(model)
-        groups += [("held", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
+        groups += [("held_inputs", held, HELD), ("in_signals", held, SIGNAL), ("in_readings", held, READ)]
     return {
         f"{name}{ending}": np.stack([getattr(road, values)[:, i] for road in roads])
         for values, names, ending in groups

@@ -101,7 +101,7 @@ class Stepper:
     def outside(self, inputs: Sequence[RoadInput]) -> Array:
         """Returns what roads and loads add to each step of N runs, shape (T, N, k)."""
         wheels, pushed = inputs[0].midway.shape[1], any(road.has_held_inputs for road in inputs)
-        parts = ("midway", "held") if pushed else ("midway",)
+        parts = ("midway", "held_inputs") if pushed else ("midway",)
         held = np.stack([np.hstack([getattr(road, name) for name in parts]) for road in inputs], axis=1)
         return held @ (self._outside if pushed else self._outside[:wheels])
 
@@ -270,22 +270,22 @@ class SteppedRuns:
         steps: steps of the vehicle.
         inputs: the N roads.
         states: xi, shape (T, N, n).
-        given: inputs that are held from each sample on, shape (T, N, m).
-        missing: forces that adjustable dampers omit [N], shape (T, N, m), or (T, N, 0) without such dampers.
+        given_forces: inputs that are held from each sample on, shape (T, N, m).
+        missing_forces: forces that adjustable dampers omit [N], shape (T, N, m), or (T, N, 0) without such dampers.
         law_states: states of the laws, each as it was at the law's last sample, shape (N, T, k).
     """
 
     steps: Stepper
     inputs: Sequence[RoadInput]
     states: Array
-    given: Array
-    missing: Array
+    given_forces: Array
+    missing_forces: Array
     law_states: Array
 
     @property
     def response(self) -> Response:
         """The vehicle's signals and, after them, the states of the laws, values of shape (N, T, S)."""
-        each = (self.states, self.given, self.missing)
+        each = (self.states, self.given_forces, self.missing_forces)
         runs = [self.steps.response(road, *(one[:, i] for one in each)) for i, road in enumerate(self.inputs)]
         response = Response(self.inputs[0].time, self.inputs[0].vehicle.kind.signals, np.stack(runs))
         law_states = self.law_states.shape[-1]
@@ -307,7 +307,7 @@ class SteppedRuns:
         """
         h, model = self.inputs[0].timestep, self.steps.model
         half = Stepper(self.inputs[0].vehicle, h / 2)
-        added = half.outside(self.inputs) + self.given @ half.by_inputs
+        added = half.outside(self.inputs) + self.given_forces @ half.by_inputs
         start, added = (one.reshape(-1, one.shape[-1]) for one in (self.states, added))
         end = half(half(start, added), added).reshape(self.states.shape)
         local = np.zeros_like(self.states)

@@ -47,14 +47,14 @@ class _Samples:
         due: timesteps of the K samples.
         period: timesteps from sample to sample.
         y: measurements as the law receives them, shape (K, q).
-        closing: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without adjustable dampers.
+        closing_velocities: closing velocities of the suspensions [m/s], shape (K, m); (K, 0) without adjustable dampers.
         states: states of a linear law at the samples, as it is run, shape (K, k).
     """
 
     due: Array
     period: int
     y: Array
-    closing: Array
+    closing_velocities: Array
     states: Array
 
 
@@ -196,7 +196,7 @@ def _linear(
         forces, of_forces = forces + ahead, of_forces + np.abs(ahead).max(axis=0, initial=0.0)
     after, of_after = y @ law.B.T + x @ law.A.T, np.abs(y) @ np.abs(law.B).T + np.abs(x) @ np.abs(law.A).T
     slack = EXACT * np.broadcast_to(of_forces.max(axis=0, initial=0.0), forces.shape)
-    closing = samples.closing if vehicle.dampers else None
+    closing = samples.closing_velocities if vehicle.dampers else None
     given = forces if limiter is None else _limit_commands(limiter, forces, logged)
     if law.anti_windup is not None:
         range_of = FEATURES.load("damper ranges").range_of
@@ -222,8 +222,8 @@ def _semi_active(controller: "SemiActive", vehicle: Vehicle, samples: _Samples) 
     """Returns the commands of a semi-active law, shape (K, 2 m), with what rounding explains."""
     semi_active = FEATURES.load("semi-active coefficients")
     of, whole = FEATURES.load("damper ranges").range_of([vehicle]), slice(None)
-    numbers = semi_active.numbers_at(semi_active.numbers_of([controller.law], [vehicle]), of, samples.closing, whole)
-    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers), samples.closing)
+    numbers = semi_active.numbers_at(semi_active.numbers_of([controller.law], [vehicle]), of, samples.closing_velocities, whole)
+    commands = of.clip_coefficients(controller.law.coefficients(samples.y, numbers), samples.closing_velocities)
     return commands, EXACT * np.broadcast_to(np.abs(commands).max(axis=0, initial=0.0), commands.shape)
 
 
@@ -241,13 +241,13 @@ def _again(controller: AnyController, road: RoadInput, samples: _Samples) -> Arr
             ahead = heights[k : k + (driver.ahead - 1) * samples.period + 1 : samples.period].T[None]
         y = samples.y[i : i + 1]
         if len(driver.measured) > y.shape[1]:
-            y = np.concatenate([y, samples.closing[i : i + 1]], axis=1)
+            y = np.concatenate([y, samples.closing_velocities[i : i + 1]], axis=1)
         request, state = driver.step(k, y, ahead, state)
         requests.append(request[0])
     requested = np.array(requests).reshape(len(requests), -1) if requests else np.zeros((0, 0))
     if not vehicle.dampers or driver.requests == "commands":
         return requested
-    of, closing = FEATURES.load("damper ranges").range_of([vehicle]), samples.closing[: len(requested)]
+    of, closing = FEATURES.load("damper ranges").range_of([vehicle]), samples.closing_velocities[: len(requested)]
     if driver.requests == "coefficients":
         return of.clip_coefficients(requested, closing)
     return of.commands(np.concatenate([requested, closing], axis=1))

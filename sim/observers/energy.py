@@ -136,12 +136,12 @@ def _stored_energy(one: "SuspensionPart", deflection: Array, z: Array | None) ->
     """Returns the energy that a part stores at deflections and states [J], shape (...), without that of the vehicle's own
     spring.
     """
-    return one.part.stored_beyond(deflection, z) + one.added.stiffness * np.square(deflection) / 2
+    return one.part.stored_beyond(deflection, z) + one.added_line.stiffness * np.square(deflection) / 2
 
 
 def _kinetic(one: "SuspensionPart", deflection: Array, speed: Array) -> Array | float:
     """Returns the kinetic energy of a part [J], shape (...)."""
-    return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added.inertance else 0.0
+    return one.part.inertance_at(deflection) * np.square(speed) / 2 if one.added_line.inertance else 0.0
 
 
 def _by_coil(one: "SetElement", response: Response, z: Array) -> tuple[Array, Array, Array]:
@@ -178,7 +178,7 @@ def _lost_energy(
         turned = length.h / 8 * (one.part.rate(d, v, z[:-1], inputs[0]) - one.part.rate(after, w, z[1:], inputs[2]))
         own = z[:-1], (z[:-1] + z[1:]) / 2 + turned, z[1:]  # by Hermite's cubic, as the lengths
     stages = [(d, v, z, u) for (d, v), z, u in zip(length.stages, own, inputs, strict=True)]
-    pulls = [one.part.beyond(d, v, z, u) + one.added(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
+    pulls = [one.part.beyond(d, v, z, u) + one.added_line(d, v, 0.0, z) - one.part.centrifugal(d, v) for d, v, z, u in stages]
     taken = length.integral(v * pull for (_, v, _, _), pull in zip(stages, pulls, strict=True))
     return taken - (_stored_energy(one, length.after, own[2]) - _stored_energy(one, length.d[:-1], own[0]))
 

@@ -111,7 +111,7 @@ class _Starts:
         own: own states of parts, shape (K, k).
         heights: road heights [m], including those after the last step, shape (K + 1, r).
         midway: heights at which the road is held during the steps, shape (K, r).
-        loads: loads held during the steps, see `RoadInput.held`.
+        loads: loads held during the steps, see `RoadInput.held_inputs`.
         there: signals of `Motion.names`, and own states of parts, at their ends, shape (K, p + k).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
     """
@@ -130,7 +130,7 @@ class _Starts:
 def _starts(motion: "Motion", road: RoadInput, physics: Response, commands: Array) -> _Starts:
     """Returns the starts of all steps, up to the first whose state the equations cannot take."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
-    heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held[: count - 1]
+    heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_inputs[: count - 1]
     names, m, of_parts = motion.names, len(vehicle.linear_model.inputs), names_of(vehicle.kind.of_parts)
     if count == 1:
         nothing = np.zeros((0, len(names)))

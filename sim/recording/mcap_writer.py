@@ -76,7 +76,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
-        responses = {**run.responses, **({} if run.gap is None else {"difference": run.gap}), **run.acting}
+        responses = {**run.responses, **({} if run.gap is None else {"difference": run.gap}), **run.other_signals}
         for name, response in responses.items():
             kind = "<f4" if name == "difference" else "<f8"
             number = numbers.setdefault(response.signals, len(numbers) + 1)

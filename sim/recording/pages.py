@@ -47,7 +47,7 @@ class Curve:
     def response(self) -> Response:
         """The response that has the signal."""
         gap = {} if self.run.gap is None else {GAP: self.run.gap}
-        return {**self.run.responses, **self.run.acting, **gap}[self.topic]
+        return {**self.run.responses, **self.run.other_signals, **gap}[self.topic]
 
     @property
     def values(self) -> Array:
@@ -96,11 +96,11 @@ def pages(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> list[Page]:
         plots = [Plot(_heading(signal), tuple(some)) for signal, some in zip(signals, curves, strict=True)]
         gap = differences(run, signals) if alone else ()
         found += [Page(name, part, group, gap) for name, part in _parts(_title(run, group), plots)]
-    if alone and LOADS in run.acting:
-        loads = [(_heading(signal), signal.name) for signal in run.acting[LOADS].signals]
+    if alone and LOADS in run.other_signals:
+        loads = [(_heading(signal), signal.name) for signal in run.other_signals[LOADS].signals]
         plots = [Plot(title, (Curve(run, LOADS, name, name.replace("_", " "), color),)) for title, name in loads]
         found.append(Page(LOADS, tuple(plots)))
-    if alone and DAMPERS in run.acting:
+    if alone and DAMPERS in run.other_signals:
         found.append(Page("dampers and springs", tuple(_diagram(run, one, color) for one in run.diagrams)))
     roads = tuple(plot for quantity in ROADS if (plot := _road(seen, quantity)).curves)
     return [*found, Page("road", roads)] if roads else found
@@ -117,7 +117,7 @@ def response_curves(run: RunLog, signal: Signal, color: str) -> Iterator[Curve]:
 
 def _measured_curve(run: RunLog, signal: Signal) -> Iterator[Curve]:
     """Yields the curve of a signal in the measured log of a run, if any."""
-    if MEASURED_TOPIC in run.acting and signal.name in run.acting[MEASURED_TOPIC].names:
+    if MEASURED_TOPIC in run.other_signals and signal.name in run.other_signals[MEASURED_TOPIC].names:
         yield Curve(run, MEASURED_TOPIC, signal.name, "measured", LOG_COLOUR, 2.5)
 
 

@@ -105,11 +105,11 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
     for name, group in groups([run]).items():
         if curves := differences(run, group):
             _log_curves(recording, entity(run.name, "difference", name), curves)
-    for signal in run.acting[LOADS].signals if LOADS in run.acting else ():
+    for signal in run.other_signals[LOADS].signals if LOADS in run.other_signals else ():
         curve = Curve(run, LOADS, signal.name, f"{signal.name.replace('_', ' ')} [{signal.unit}]", color)
         _log_curves(recording, curve_path(curve), [curve])
-    if DAMPERS in run.acting:
-        pulled = run.acting[DAMPERS]
+    if DAMPERS in run.other_signals:
+        pulled = run.other_signals[DAMPERS]
         for one in run.diagrams:
             path = entity(run.name, "acting", "diagrams", one.pull.name)
             _log_diagram(recording, path, one, pulled.until(pulled.diverged), color)
@@ -260,7 +260,7 @@ def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Tra
     recording.log(f"{path}/surface", surface, static=True)
     edge = np.column_stack([track.position, np.full(len(track.position), track.middle + ROAD), track.height])
     recording.log(f"{path}/edge", rr.LineStrips3D([edge.astype(np.float32)], colors=[PROFILE], radii=[0.008]), static=True)
-    back = np.column_stack([-track.travelled, np.zeros((len(time), 2))])
+    back = np.column_stack([-track.travelled_distance, np.zeros((len(time), 2))])
     recording.send_columns(path, time_index(time), rr.Transform3D.columns(translation=back))
 
 

@@ -39,7 +39,7 @@ class RunLog:
         scene: drawing of the vehicle.
         verdict: result of the comparison, in a few words; empty if nothing was compared.
         files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
-        acting: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
+        other_signals: other signals by topic: loads on the body, forces of dampers and springs, and a measured log.
         diagrams: diagrams of damper and spring forces, each over its argument.
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
@@ -54,7 +54,7 @@ class RunLog:
     scene: Scene
     verdict: str = ""
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
-    acting: Mapping[str, Response] = field(default_factory=dict)
+    other_signals: Mapping[str, Response] = field(default_factory=dict)
     diagrams: "tuple[Diagram, ...]" = ()
     active: tuple[str, ...] = ()
 

@@ -312,7 +312,7 @@ def run_log(run: Run, name: RunName, measured: Response | None = None) -> RunLog
         scene=scene_of(run.prediction.input, run.physics, run.qpos),
         verdict=verdict(run).text,
         files=files,
-        acting={name: one for name, one in acting.items() if one is not None},
+        other_signals={name: one for name, one in acting.items() if one is not None},
         diagrams=drawn,
         active=_active(run),
     )

@@ -101,14 +101,14 @@ class Track:
         middle: middle of its width, along y [m].
         position: ascending positions of its points along x at time 0 [m], shape (N,).
         height: heights of the points [m], shape (N,).
-        travelled: distance by which the points have moved back, per frame [m], shape (F,).
+        travelled_distance: distance by which the points have moved back, per frame [m], shape (F,).
         bodies: pieces of road under the wheels, which replace the profile in other viewers.
     """
 
     middle: float
     position: Array
     height: Array
-    travelled: Array
+    travelled_distance: Array
     bodies: tuple[str, ...]
 
 
@@ -148,7 +148,7 @@ class Scene:
             springs={name: ends[mask] for name, ends in self.springs.items()},
             tyres=tuple(replace(tyre, height=tyre.height[mask]) for tyre in self.tyres),
             forces={name: force[mask] for name, force in self.forces.items()},
-            tracks=tuple(replace(track, travelled=track.travelled[mask]) for track in self.tracks),
+            tracks=tuple(replace(track, travelled_distance=track.travelled_distance[mask]) for track in self.tracks),
         )
 
     @property

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from models.document.document import Table
     from models.document.figure import Figure
     from models.document.page import Page
-    from models.roads.load import Load
+    from models.roads.loads.load import Load
     from models.vehicle.vehicle import Vehicle
     from sim.report.page import Report
     from sim.report.processes import Processes
@@ -63,11 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.page import check_page
     from models.document.picture import check_drawing
-    from models.roads.load_choice import choose_load
+    from models.roads.loads.choice import choose_load
     from models.vehicle.names import named_files
     from sim.report.page import record
     from sim.report.processes import Processes, processes
-    from sim.studies.ride.standing import standing_lines
+    from sim.studies.ride.score_table import score_lines
 
     check_page()
     if options.gallery:
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for title, (vehicle, names) in subjects.items():
         with Processes(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
             results[title] = _write_report(options, vehicle, names, loads, pool, outputs[title])
-        undesigned += sorted({*names} - {one.controller for one in results[title].compared})
+        undesigned += sorted({*names} - {one.controller for one in results[title].scores})
     if len(subjects) > 1:
         return _several(options, outputs, results, undesigned)
     ((vehicle, names),), (result,), (outputs,) = subjects.values(), results.values(), outputs.values()
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             *left,
             *left_out_lines(others),
             "",
-            *standing_lines(result.compared, result.compared_on),
+            *score_lines(result.scores, result.compared_on),
         ]
         if not options.brief:
             said = (
@@ -158,16 +158,16 @@ def _several(
     """Prints one table of several vehicles; returns the exit code."""
     from models.document.outputs import output_paths, written_lines
     from sim.report.page import record
-    from sim.studies.ride.standing import record_of_standings, standing_lines
+    from sim.studies.ride.score_table import score_lines, scores_record
 
-    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
+    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.scores]
     if options.json:
         whole = {title: {**record(result), **output_paths(outputs[title])} for title, result in results.items()}
         left = {"left_out": list(undesigned)}
-        print_json({"reports": whole, "compared": record_of_standings(compared), **left})
+        print_json({"reports": whole, "compared": scores_record(compared), **left})
     else:
         lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
-        say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
+        say(["reports", *lines, "", *score_lines(compared, next(iter(results.values())).compared_on)])
     return 1 if undesigned else 0
 
 
@@ -186,7 +186,6 @@ def _write_report(
     from sim.report.page import report, stages
     from sim.runs.run import sample_times
     from sim.studies.frequency.identification import check
-    from sim.studies.registry import study
     from sim.studies.subject import AMPLITUDE, BUMP_DURATION, Subject
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
@@ -203,8 +202,8 @@ def _write_report(
         raise InputError(f"--{given[0]} needs a road; give --road or --class, or omit --{given[0]}")
     designer, own = Designer(vehicle), {"own_road": road, "road_name": name, "duration": duration}
     scope = Subject(vehicle, designer, (), options.timestep, options.quick, (), options.front, loads, **own)
-    for one in map(study, STUDIES):
-        one.check_page(scope)
+    for study, of_class in STUDIES.load_all().items():
+        of_class(study).check_page(scope)
 
     show("designs")
     controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
@@ -215,7 +214,7 @@ def _write_report(
     warn_invalid_certificates(controllers)
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
-    scope = replace(scope, controllers=linear, laws=laws, exported=exported)
+    scope = replace(scope, controllers=linear, laws=laws, exported_controller=exported)
     stage = Stages(*stages(scope), "the page")
     result = report(scope, _about(vehicle.source), pool.begin, stage)
     stage("the page")
@@ -231,11 +230,11 @@ OF_A_VEHICLE = (
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
+    from models.common.extensions import STUDIES
     from models.document.outputs import check_outputs, output_paths, written_lines
     from models.document.picture import check_drawing
     from sim.report.gallery import gallery_page
     from sim.studies.gallery.entries import names
-    from sim.studies.registry import study
     from sim.studies.study import StudyRequest
 
     repeated = {
@@ -249,7 +248,8 @@ def _gallery(options: argparse.Namespace) -> int:
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
         check_drawing()
-    stage, gallery, request = Stages(*names(), "the page"), study("gallery"), StudyRequest(argparse.Namespace(name=[]))
+    stage, gallery = Stages(*names(), "the page"), STUDIES.load("gallery")("gallery")
+    request = StudyRequest(argparse.Namespace(name=[]))
     results = gallery.run(request, stage)
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))

@@ -12,10 +12,10 @@ from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel
 from models.document.text import names_text
 from sim.command.road_options import end_lines
+from sim.linear.prediction import LINEAR, NONLINEAR
 from sim.observers.results import DIFFERENCE, WHEN
 from sim.runs.agreement import SignalAgreement
 from sim.runs.force_diagram import Diagram, diagrams
-from sim.runs.prediction import LINEAR, NONLINEAR
 from sim.runs.report import SIZES, energy_table, run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, history_figure
@@ -83,7 +83,7 @@ def _peaks(scope: Subject, runs: Sequence[Run]) -> Table:
         NAME.of(lambda of: of[0]),
         Field(
             "linear until",
-            lambda of: min(BUMP_DURATION, of[0].agreement.until, *of[0].agreement.ended.values()),
+            lambda of: min(BUMP_DURATION, of[0].agreement.until, *of[0].agreement.end_times.values()),
             WHEN.form,
             unit="s",
         ),
@@ -179,7 +179,7 @@ class ResponseStudy(Study[None]):
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""
-        return [response_section(scope, scope.runs, scope.measured, measured_words(scope.time, scope.samples))]
+        return [response_section(scope, scope.runs, scope.run_metrics, measured_words(scope.time, scope.samples))]
 
 
 class AgreementStudy(Study[dict[str, Finer]]):
@@ -192,7 +192,7 @@ class AgreementStudy(Study[dict[str, Finer]]):
     def run(self, request: Subject, progress: Progress) -> dict[str, Finer]:
         """Returns the agreement of each signal of a few controllers at half the timestep."""
         halves = sample_times(request.vehicle, request.duration, request.timestep / 2)
-        runs = run_controllers(request.vehicle, request.driven[:MOST_ORDERS], request.road, halves, balanced=False)
+        runs = run_controllers(request.vehicle, request.driven_controllers[:MOST_ORDERS], request.road, halves, balanced=False)
         return {run.controller.name: run.agreement.signals for run in runs}
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:

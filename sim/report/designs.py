@@ -65,7 +65,7 @@ def _loops(scope: Subject) -> list[Statement]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{as_name(one.name)} DOES NOT KEEP the goals of the vehicle file: {broken[0].text}{more}."
             statements.append(Statement(text, "ends"))
-    studied = [(one.name, f"{text}.") for one in scope.driven for text in study_notes(vehicle, one)]
+    studied = [(one.name, f"{text}.") for one in scope.driven_controllers for text in study_notes(vehicle, one)]
     statements += [replace(one, state="holds") for one in statements_on(studied)]
     if scope.laws:
         names, kinds = names_text(one.name for one in scope.laws), " or ".join(dict.fromkeys(one.kind for one in scope.laws))

@@ -14,10 +14,10 @@ TITLE = "Exported code"
 
 def exported_section(scope: Subject) -> Document:
     """Returns the section on the exported code of a report: its format and inputs, and its run."""
-    assert scope.exported is not None, "a folder was given"
+    assert scope.exported_controller is not None, "a folder was given"
     time = sample_times(scope.vehicle, scope.duration, scope.timestep)
-    (run,) = run_controllers(scope.vehicle, [scope.exported], scope.road, time)
-    effect, code = run.prediction.code_effect, scope.exported.code
+    (run,) = run_controllers(scope.vehicle, [scope.exported_controller], scope.road, time)
+    effect, code = run.agreement.code_effect, scope.exported_controller.code
     assert effect is not None, "code drives the run"
     law, how = code.law, f"every {1e3 * code.law.period:g} ms" if code.law.period is not None else "at any period"
     rows = [
@@ -41,7 +41,7 @@ class ExportedStudy(Study[Document]):
 
     def requests(self, scope: Subject) -> Mapping[str, Subject]:
         """See `Study`."""
-        return {} if scope.exported is None else {"": scope}
+        return {} if scope.exported_controller is None else {"": scope}
 
     def run(self, request: Subject, progress: Progress) -> Document:
         """See `Study`."""

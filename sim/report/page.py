@@ -9,13 +9,12 @@ from models.document.document import Document, Table
 from models.document.page import Page
 from models.vehicle.names import PASSIVE
 from models.vehicle.sketch import vehicle_sketch
-from sim.command.comparison import standings_of
 from sim.report.processes import Name
 from sim.report.summary import compared_on, first_screen, trust_section
 from sim.runs.run import passive_beside
-from sim.studies.registry import study
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.standing import Score, headline, record_of_standings, score_of, some_names, without_unsound
+from sim.studies.ride.score_table import headline, scores_record, some_names
+from sim.studies.ride.scores import Score, score_of, scores_of_runs, without_unsound
 from sim.studies.study import Progress
 from sim.studies.subject import SEEDS, Subject, file_stem
 from synth.vehicle.paper import SEED, is_the_papers
@@ -30,12 +29,12 @@ class Report:
 
     Attributes:
         page: whole page.
-        compared: the controllers' standings, the passive one first.
+        scores: the controllers' scores, the passive one first.
         compared_on: roads of the comparison, in words.
     """
 
     page: Page
-    compared: list[Score]
+    scores: list[Score]
     compared_on: str
 
 
@@ -52,13 +51,13 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
     runs, results = scope.runs, dict[str, dict[str, Any]]({name: {} for name in STUDIES})
     for (name, subject), result in answers().items():
         results[name][subject] = result
-    over_roads = [one for _, standings in results.get("ride", {}).values() for one in standings] if scope.own_road is None else []
+    over_roads = [one for _, scores in results.get("ride", {}).values() for one in scores] if scope.own_road is None else []
     compared, when = _compare_controllers(scope, over_roads), measured_words(scope.time, scope.samples)
     ends = [*zip(scope.stable, *results.get("ends", {}).values(), strict=False)] if results.get("ends") else []
-    sections = [trust_section(scope, runs, ends, scope.disagreeing)]
-    sections += [section for name in STUDIES for section in study(name).sections(scope, results)]
+    sections = [trust_section(scope, runs, ends, scope.disagreeing_names)]
+    sections += [section for name, one in STUDIES.load_all().items() for section in one(name).sections(scope, results)]
     where = compared_on(scope, compared, any(results.get("ride", {}).values()), when)
-    names, kind = some_names([one.name for one in scope.driven]), scope.vehicle.kind.name.replace("_", " ")
+    names, kind = some_names([one.name for one in scope.driven_controllers]), scope.vehicle.kind.name.replace("_", " ")
     dive = results.get("loads", {}).get("braking", {})
     whole = Page(
         f"{file_stem(scope.vehicle)}: {names} on a {kind}, from linear analysis to MuJoCo",
@@ -72,7 +71,7 @@ def report(scope: Subject, provenance: dict[str, str], begin: Begin, progress: P
 
 def requests_of(scope: Subject) -> dict[Name, Any]:
     """Returns the independent requests of a page, by study and subject, the longest first."""
-    studies = sorted(map(study, STUDIES), key=lambda one: -one.seconds)
+    studies = sorted((one(name) for name, one in STUDIES.load_all().items()), key=lambda one: -one.seconds)
     return {(one.name, subject): request for one in studies for subject, request in one.requests(scope).items()}
 
 
@@ -82,15 +81,15 @@ def stages(scope: Subject) -> tuple[str, ...]:
 
 
 def _compare_controllers(scope: Subject, over_roads: Sequence[Score]) -> list[Score]:
-    """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
+    """Returns the score of every controller over random roads or, without these, in the runs; passive first.
 
     A controller that is not driven over random roads, such as one with an unstable loop, has no numbers there.
     """
     if not over_roads:
-        return standings_of(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.measured)
+        return scores_of_runs(scope.runs, passive_beside(scope.runs, scope.designer.design), scope.samples, scope.run_metrics)
     there = {one.controller: one for one in over_roads}
-    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
-    unsound = [one.name for one in scope.driven if one.growth]
+    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven_controllers)))
+    unsound = [one.name for one in scope.driven_controllers if one.growth]
     return without_unsound([there.get(name) or score_of(scope.vehicle, name, {}) for name in names], unsound)
 
 
@@ -98,7 +97,7 @@ def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
     """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
-    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven}]:
+    if absent := [name for name in vehicle.controller_names if name not in {one.name for one in scope.driven_controllers}]:
         rows["controllers not on this page"] = ", ".join(absent)
     h = 1e3 * scope.timestep
     rows |= {"road": scope.own_road.words, "duration": f"{scope.duration:g} s"} if scope.own_road is not None else {}
@@ -147,7 +146,7 @@ def _provenance(scope: Subject, provenance: dict[str, str]) -> Document:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """Returns answer, tables and standings as a JSON object."""
+    """Returns answer, tables and scores as a JSON object."""
     page = report.page
     return {
         "title": page.title,
@@ -156,5 +155,5 @@ def record(report: Report) -> dict[str, Any]:
         "answer": [one.text for one in page.answer],
         "verdict": page.state,
         "tables": {one.name: one.records for one in page.whole.tables},
-        "compared": record_of_standings(report.compared),
+        "compared": scores_record(report.scores),
     }

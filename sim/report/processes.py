@@ -78,19 +78,17 @@ class Processes:
 
 def _run(name: str, request: Any, progress: "Progress" = lambda text: None) -> Any:
     """Returns the result of a request to a study, for a page."""
-    from sim.studies.registry import study
+    from models.common.extensions import STUDIES
 
-    one = study(name)
+    one = STUDIES.load(name)(name)
     return one.for_page(one.run(request, progress))
 
 
 def _prepare() -> None:
     """Imports what most requests need."""
     from models.common.extensions import STUDIES
-    from sim.studies.registry import study
 
-    for name in STUDIES:
-        study(name)
+    STUDIES.load_all()
 
 
 def _end_with_parent() -> None:

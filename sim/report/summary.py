@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.printed import as_name, digits
+from models.common.printed import as_name, digits, three_digits
 from models.document.document import Document, Pivot, Table
 from models.document.field import Field
 from models.document.figure import Bars, Figure, Panel, styles
@@ -15,8 +15,8 @@ from sim.drive.regime import BUMP_STOP, RATE_LIMIT, REGIME_ENDS, SATURATION, end
 from sim.observers.results import WHEN
 from sim.runs.report import SIZE, verdict
 from sim.runs.run import Run
-from sim.studies.ride.standing import CHANGES, COLUMNS, FIELDS, Score, best, compared_table, headline
-from sim.studies.ride.standing import digits as of_table
+from sim.studies.ride.score_table import CHANGES, compared_table, headline
+from sim.studies.ride.scores import COLUMNS, FIELDS, Score, best
 from sim.studies.subject import AVERAGE, NAME, SEEDS, SPEED, Subject
 from sim.studies.validity.edges import HEIGHT
 from sim.studies.validity.regime_end import RegimeEnd
@@ -32,11 +32,11 @@ def first_screen(
     """Returns the first part of the page: requirements if there are any, and the comparison as table and bars.
 
     Args:
-        compared: the controllers' standings, over the roads of `compared_on`.
+        compared: the controllers' scores, over the roads of `compared_on`.
         dive: dive angle of every controller under braking [deg]; empty for a vehicle that cannot pitch.
         where: roads of the comparison, in words.
     """
-    more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), of_table, unit="deg")] if dive else []
+    more = [Field[Score]("dive under 0.5 g", lambda one: dive.get(one.controller), three_digits, unit="deg")] if dive else []
     table, wanted = compared_table(compared, where, more), requirements_table(scope, runs)
     return Document("", (*([wanted] if wanted else []), table, _bars(scope, compared, more, table, where)))
 

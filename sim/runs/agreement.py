@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.common.extensions import OBSERVERS
 from models.document.document import Document
 from models.document.text import ShownResult, facts
 from models.kinds.kind import MOST_SQUEEZE
@@ -32,11 +33,10 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, end_times
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction
 from sim.linear.rounding import effect_on_states, roundings
 from sim.observers.recorder import Recording, from_steady
-from sim.observers.registry import observer
 from sim.observers.results import DIFFERENCE, WHEN, CommandAgreement, StepAgreement
-from sim.runs.prediction import Prediction
 
 if TYPE_CHECKING:
     from sim.runs.code_effect import CodeEffect
@@ -156,7 +156,7 @@ class Agreement(ShownResult):
 
     Attributes:
         lift_off: intervals [s] in which a tyre is off the ground.
-        ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
+        end_times: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         linear: differences from linear analysis, while that applies.
         steps: steps against the vehicle's exact equations, also after `until`; None if they are not known.
         commands: commands against the control law; None if they are not known, as in the log of a law in Python.
@@ -164,7 +164,7 @@ class Agreement(ShownResult):
     """
 
     lift_off: tuple[tuple[float, float], ...]
-    ended: Mapping[str, float]
+    end_times: Mapping[str, float]
     linear: LinearComparison
     steps: StepAgreement | None = None
     commands: CommandAgreement | None = None
@@ -173,7 +173,7 @@ class Agreement(ShownResult):
     @property
     def summary(self) -> Document:
         """Returns whether the run agrees, what ended the linear regime, and each signal's largest difference, as text."""
-        ended = {name: f"at {WHEN.text(at)}" for name, at in self.ended.items() if math.isfinite(at)}
+        ended = {name: f"at {WHEN.text(at)}" for name, at in self.end_times.items() if math.isfinite(at)}
         signals = {name: f"{DIFFERENCE.cell(signal.sampled)} of its peak" for name, signal in self.signals.items()}
         return facts(f"agreement: {'agrees with the model' if self.agrees else 'DOES NOT AGREE'}", ended | signals)
 
@@ -215,12 +215,13 @@ class Agreement(ShownResult):
         return self.steps is not None and self.steps.equations_invalid and self.steps.until == self.until
 
 
-def compare(prediction: Prediction, recording: Recording) -> Agreement:
+def compare(prediction: Prediction, recording: Recording, code_effect: "CodeEffect | None" = None) -> Agreement:
     """Returns the verdict on one run of MuJoCo.
 
     Args:
         prediction: linear responses of the run.
         recording: the run.
+        code_effect: difference of exported code from the law, or None without such code.
     """
     vehicle, road, physics, diverged = prediction.vehicle, prediction.input, recording.response, recording.diverged
     ended = dict(zip(END_NAMES, end_times(vehicle, physics, prediction.controller.has_anti_windup).tolist(), strict=True))
@@ -232,17 +233,17 @@ def compare(prediction: Prediction, recording: Recording) -> Agreement:
         if foretold < until:
             ended[FLAT.name] = until = foretold
     rounding, steps, commands = roundings(vehicle, prediction.controller), None, None
-    if (compare_steps := observer("steps")) is not None:
+    if (compare_steps := OBSERVERS.load_if_known("steps")) is not None:
         end = min(ended[FLAT.name], diverged)
         if vehicle.kind.motion is None:  # its linear model holds only while all tyres are on the road
             end = min(end, ended[LIFT_OFF.name], loose)
         steps = compare_steps(road, recording, end, rounding)
         if steps is not None and steps.equations_invalid:
             until = min(until, steps.until)
-    if not prediction.replayed and (compare_commands := observer("commands")) is not None:
+    if not prediction.replayed and (compare_commands := OBSERVERS.load_if_known("commands")) is not None:
         commands = compare_commands(prediction.controller, road, recording)
     linear = LinearComparison(prediction, physics, until)
-    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, prediction.code_effect)
+    return Agreement(lift_off_intervals(vehicle, physics), ended, linear, steps, commands, code_effect)
 
 
 def _passes_through(vehicle: Vehicle, physics: Response) -> bool:

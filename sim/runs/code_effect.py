@@ -29,7 +29,7 @@ class CodeEffect:
         share: largest difference of any signal over its scale, while linear analysis applies.
         signal: name of that signal.
         law_agrees: True if the run with the law itself agrees.
-        clipped: readings that leave their range in fixed point, where the code clips them.
+        clipped_readings: readings that leave their range in fixed point, where the code clips them.
     """
 
     numbers: str
@@ -37,7 +37,7 @@ class CodeEffect:
     share: float
     signal: str
     law_agrees: bool
-    clipped: tuple[str, ...]
+    clipped_readings: tuple[str, ...]
 
     @property
     def agrees(self) -> bool:

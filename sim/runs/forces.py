@@ -8,8 +8,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.signals import Signal, load_signal
-from models.roads.load import Load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.response import Response

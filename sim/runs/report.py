@@ -155,8 +155,8 @@ RUN = np.errstate(over="ignore")(  # an unstable loop's squares overflow; infini
         ),
         _decay,
         code_difference=lambda run: (
-            FEATURES.load("effect of exported code").DIFFERENCES(run.prediction.code_effect)
-            if run.prediction.code_effect
+            FEATURES.load("effect of exported code").DIFFERENCES(run.agreement.code_effect)
+            if run.agreement.code_effect
             else OMITTED_KEY
         ),
         margins=lambda run: law_margins(run.vehicle, run.controller).record if run.controller.linear else OMITTED_KEY,
@@ -261,7 +261,7 @@ def _when(run: RunResult) -> str:
     agreement = run.agreement
     if not math.isfinite(agreement.until):
         return "over the whole run"
-    ended = [name for name, when in agreement.ended.items() if when == agreement.until]
+    ended = [name for name, when in agreement.end_times.items() if when == agreement.until]
     if BUMP_STOP.name in ended:
         ended[ended.index(BUMP_STOP.name)] = FEATURES.load("stops that a run reaches").stop_names(run, agreement.until)
     other = (
@@ -333,7 +333,7 @@ def reasons(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
 
 def _events(run: RunResult) -> Iterator[str]:
     """Yields sentences on what happens in a run: instability, lift-offs, limits."""
-    agreement, times, radius, vehicle = run.agreement, run.agreement.ended, run.prediction.radius, run.vehicle
+    agreement, times, radius, vehicle = run.agreement, run.agreement.end_times, run.prediction.radius, run.vehicle
     if radius > 1:
         how = ", by direct feedback of its own force" if law_margins(vehicle, run.controller).own_force else ""
         yield f"unstable: the sampled loop grows by a factor of {entry(radius)} every step{how}"
@@ -476,7 +476,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
     Args:
         passive: MuJoCo's response of the passive vehicle, with which the signals are compared.
     """
-    code, until = run.prediction.code_effect, run.agreement.until
+    code, until = run.agreement.code_effect, run.agreement.until
     ended = f"errors are measured until {WHEN.text(until)}; peak and rms are those of the whole run"
     tables = (signal_table(run, passive), *([] if code is None else [code_table(code, run.vehicle)]))
     return Document(
@@ -490,7 +490,7 @@ def describe_run(run: RunResult, passive: Response | None = None) -> Document:
 
 def sentences(run: RunResult, full: bool = True) -> tuple[Statement, ...]:
     """Returns the verdict on a run, its controller's claims, its free decay, and the reasons of the verdict; see `reasons`."""
-    controller, code = run.controller, run.prediction.code_effect
+    controller, code = run.controller, run.agreement.code_effect
     margins = law_margins(run.vehicle, controller)
     warning = margins.instability or margins.own_force or margins.small
     studied = study_notes(run.vehicle, controller)
@@ -518,7 +518,9 @@ def _decay_words(run: RunResult) -> list[str]:
 def signal_table(run: RunResult, passive: Response | None = None) -> Table:
     """Returns peak and rms of every signal of a run, its differences from linear analysis, and its change against passive."""
     rows, on = [], run.prediction.input
-    still = not on.heights.any() and not on.held.any() and not run.vehicle.start  # all that moves on a flat road is rounding
+    still = (
+        not on.heights.any() and not on.held_inputs.any() and not run.vehicle.start
+    )  # all that moves on a flat road is rounding
     for name, signal in run.agreement.signals.items():
         was = None if still else passive
         if was is not None and was.peak(name) < was.scale(name):
@@ -568,8 +570,10 @@ def code_notes(effect: "CodeEffect | None", vehicle: Vehicle) -> list[str]:
     if effect is None:
         return []
     line = f"the controller runs as compiled code in {effect.numbers}"
-    if effect.clipped:
-        return [f"{line}; {effect.clipped[0]} exceeds its range on this road, and is clipped: export with a larger --range"]
+    if effect.clipped_readings:
+        return [
+            f"{line}; {effect.clipped_readings[0]} exceeds its range on this road, and is clipped: export with a larger --range"
+        ]
     if not any(map(effect.peak, effect.apart)):
         return [f"{line}; the run is the same, bit for bit, as with the control law itself"]
     force = max(vehicle.linear_model.inputs, key=effect.peak)
@@ -596,7 +600,7 @@ def events(run: RunResult) -> tuple[tuple[float, str], ...]:
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
         happened.append((run.diverged, LAW_OVERFLOW if run.physics.law_diverged else "diverged"))
-    others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
+    others = [(run.agreement.end_times[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
     happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))
 

@@ -12,9 +12,9 @@ from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import FLAT, broken_by
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction
 from sim.observers.results import Energy
 from sim.runs.agreement import Agreement
-from sim.runs.prediction import Prediction
 from synth.controller.controller import AnyController
 
 COARSE = "the timestep is too coarse for accurate numbers"
@@ -64,7 +64,7 @@ class RunResult:
     @property
     def broke_off(self) -> tuple[str, float] | None:
         """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
+        ends = {FLAT.name: self.agreement.end_times[FLAT.name], broken_by(self.physics): self.physics.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 

@@ -10,30 +10,29 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Time
 from models.common.errors import InputError
-from models.common.extensions import FEATURES
+from models.common.extensions import FEATURES, OBSERVERS
 from models.document.document import Block, Document
 from models.document.text import ShownResult, facts
-from models.kinds.plausibility import remarks
+from models.kinds.plausibility import known_quantities, remarks
 from models.roads.road import Road
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.names import PASSIVE
-from models.vehicle.sections import known_quantities
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.regime import FLAT
 from sim.drive.response import Response
+from sim.linear.prediction import Prediction, predict_run
 from sim.linear.sampled_response import largest_timestep
 from sim.observers.recorder import Recording, record
-from sim.observers.registry import observer
 from sim.observers.results import Energy
 from sim.runs.agreement import SMALL, compare
-from sim.runs.prediction import Prediction, predict_run
 from sim.runs.report import signal_table, verdict
 from sim.runs.result import HalfStep, RunResult
 from synth.controller.controller import AnyController, Controller
 
 if TYPE_CHECKING:
     from sim.drive.driver import RunDriver
+    from sim.runs.code_effect import CodeEffect
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
@@ -151,9 +150,9 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
         predictions: predictions over the same sample times, for vehicles of the same type.
         recordings: the runs.
     """
-    predictions = _with_code_effects(predictions, recordings)
-    pairs = zip(predictions, recordings, strict=True)
-    runs = [Run(prediction, recording.response, compare(prediction, recording)) for prediction, recording in pairs]
+    effects = _code_effects(predictions, recordings)
+    pairs = enumerate(zip(predictions, recordings, strict=True))
+    runs = [Run(foreseen, made.response, compare(foreseen, made, effects.get(i))) for i, (foreseen, made) in pairs]
     unknown = [
         i for i, run in enumerate(runs) if run.agreement.steps is None and run.prediction.is_linear and has_geometry(run.vehicle)
     ]
@@ -171,21 +170,20 @@ def compare_runs(predictions: Sequence[Prediction], recordings: Sequence[Recordi
     return runs
 
 
-def _with_code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> Sequence[Prediction]:
-    """Adds the effect of exported code to the predictions of runs that it drives, by runs with the laws themselves."""
+def _code_effects(predictions: Sequence[Prediction], recordings: Sequence[Recording]) -> "dict[int, CodeEffect]":
+    """Returns the effects of exported code on the runs that it drives, by their index; laws themselves drive other runs here."""
     coded = [i for i, one in enumerate(predictions) if one.controller.code is not None]
     if not coded:
-        return predictions
+        return {}
     ours = [replace(predictions[i], controller=replace(predictions[i].controller, code=None)) for i in coded]
     cases = [Case(one.vehicle, one.controller, one.road, input=one.input) for one in ours]
-    made, whole = record(cases, predictions[0].time), list(predictions)
+    made, effects = record(cases, predictions[0].time), {}
     for i, law_run in zip(coded, compare_runs(ours, made), strict=True):
         one, until = predictions[i], law_run.agreement.until
         names = one.vehicle.linear_model.outputs
         effect_of = FEATURES.load("effect of exported code").code_effect
-        effect = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
-        whole[i] = replace(one, code_effect=effect)
-    return whole
+        effects[i] = effect_of(one.controller, recordings[i].response, law_run.physics, names, until, law_run.agreement.agrees)
+    return effects
 
 
 def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[Run]:
@@ -197,9 +195,9 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         runs: runs over the same sample times, with vehicles of the same type.
         recordings: the same runs with their states.
     """
-    energy: Callable[..., Energy | None] = observer("energy") or (lambda run, until: None)
+    energy: Callable[..., Energy | None] = OBSERVERS.load_if_known("energy") or (lambda run, until: None)
     runs = [
-        replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.ended[FLAT.name]))
+        replace(run, qpos=one.qpos, energy=energy(one, until=run.agreement.end_times[FLAT.name]))
         for run, one in zip(runs, recordings, strict=True)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.prediction.varies]
@@ -211,7 +209,7 @@ def with_energy_balance(runs: Sequence[Run], recordings: Sequence[Recording]) ->
         finer = _simulate_predictions(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
-            if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.ended[FLAT.name])):
+            if balance and balance.doubtful and (half := energy(finer[k], until=run.agreement.end_times[FLAT.name])):
                 balance = balance.with_half_step(half)
             half_step = _half_step(run, finer[k].response) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)

@@ -8,7 +8,7 @@ from pathlib import Path
 from models.common.arrays import Array
 from models.document.field import Field
 from models.document.figure import Style, styles
-from models.roads.load import Load
+from models.roads.loads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -45,7 +45,7 @@ class Subject:
         laws: laws without linear analysis: laws in Python, and semi-active laws.
         front: the axes of a trade-off, in the form of `--front`; None without one.
         loads: loads on the body on a flat road.
-        exported: the controller whose exported code is reported; None without one.
+        exported_controller: the controller whose exported code is reported; None without one.
         own_road: road of the report instead of the paper's bump; None for the bump.
         road_name: name of the road as given.
         duration: duration of the runs over either road [s].
@@ -59,7 +59,7 @@ class Subject:
     laws: tuple[AnyController, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
-    exported: AnyController | None = None
+    exported_controller: AnyController | None = None
     own_road: Road | None = None
     road_name: str = ""
     duration: float = BUMP_DURATION
@@ -87,28 +87,30 @@ class Subject:
     @cached_property
     def runs(self) -> list[Run]:
         """Returns the run of every controller over the road."""
-        return run_controllers(self.vehicle, self.driven, self.road, self.time)
+        return run_controllers(self.vehicle, self.driven_controllers, self.road, self.time)
 
     @cached_property
     def samples(self) -> tuple[int, int | None]:
         """Returns the first measured sample, and the one after the last; None for the end of the runs."""
         if self.own_road is None:
             return 0, None
-        return measured_samples([(self.vehicle, one) for one in self.driven], self.own_road, self.duration, self.timestep)
+        return measured_samples(
+            [(self.vehicle, one) for one in self.driven_controllers], self.own_road, self.duration, self.timestep
+        )
 
     @cached_property
-    def measured(self) -> list[RunMetrics]:
+    def run_metrics(self) -> list[RunMetrics]:
         """Returns the metrics of the runs over a road of the report's own; empty for the bump."""
         return [] if self.own_road is None else [measure_run(run, *self.samples) for run in self.runs]
 
     @property
-    def disagreeing(self) -> list[str]:
+    def disagreeing_names(self) -> list[str]:
         """Returns the names of the stable controllers whose runs do not agree."""
         wrong = {run.controller.name for run in self.runs if not run.agreement.agrees}
         return [one.name for one in self.stable if one.name in wrong]
 
     @property
-    def driven(self) -> tuple[AnyController, ...]:
+    def driven_controllers(self) -> tuple[AnyController, ...]:
         """Returns all controllers that MuJoCo runs."""
         return (*self.controllers, *self.laws)
 
@@ -144,7 +146,7 @@ class Subject:
     @cached_property
     def styles(self) -> dict[str, Style]:
         """Returns the style of each controller, the same in every figure of the page."""
-        return styles(tuple(one.name for one in self.driven))
+        return styles(tuple(one.name for one in self.driven_controllers))
 
     @property
     def active(self) -> list[Controller]:

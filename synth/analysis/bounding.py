@@ -35,7 +35,7 @@ def certify_tightly(
     plant: Plant,
     G: Array | Feedback,
     lower_bound: "LowerBound | None" = None,
-    by_itself: Plant | None = None,
+    plant_without_law: Plant | None = None,
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
 
@@ -44,9 +44,9 @@ def certify_tightly(
     Args:
         G: the gain from measurements (6), or a state gain, shape (m, n).
         lower_bound: lower bound on the norm of any controller of the gain's type.
-        by_itself: name for messages, as in `certify`.
+        plant_without_law: see `certify`.
     """
-    plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
+    plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     # A peak near z = -1 is mapped to 0, not to infinity: there the weight of the Riccati equation would be singular.
@@ -72,7 +72,7 @@ def certify_tightly(
 
 def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" = None) -> Certificate:
     """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
-    return certify_tightly(*plant.with_law(law), lower_bound, by_itself=plant)
+    return certify_tightly(*plant.with_law(law), lower_bound, plant_without_law=plant)
 
 
 def roomy_proof(certificate: Certificate) -> LmiProof | None:

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Must, check_shape
+from models.common.checks import Must, accept_former_names, check_shape
 from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import about, difference, digits, magnitude
@@ -321,6 +321,7 @@ class Certificate(ShownResult):
         return abs(there - self.norm.value) <= allowed
 
 
+@accept_former_names(by_itself="plant_without_law")
 @numerics()
 def certify(
     plant: Plant,
@@ -328,7 +329,7 @@ def certify(
     X: Array | None = None,
     eta: float | None = None,
     lower_bound: KnownBound = None,
-    by_itself: Plant | None = None,
+    plant_without_law: Plant | None = None,
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
 
@@ -340,7 +341,7 @@ def certify(
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
         lower_bound: lower bound on the norm of any controller of the gain's type.
-        by_itself: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the
+        plant_without_law: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the
             filter states. Default: the plant.
 
     Raises:
@@ -359,7 +360,7 @@ def certify(
     if X is not None:
         check_shape("X", X, plant.A.shape, "a row and a column for each state of the plant")
     loop = plant.closed_loop(G)
-    base = by_itself or plant
+    base = plant_without_law or plant
     loop_stability, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
     own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else loop_stability
     return Certificate(

@@ -255,17 +255,17 @@ class SampledLoop(CheckedFields):
         return sum(piece.duration for piece in self.pieces)
 
     @property
-    def late(self) -> int:
+    def largest_delay(self) -> int:
         """The largest delay of a force in samples."""
-        return max(piece.late for piece in self.pieces)
+        return max(piece.delay_samples for piece in self.pieces)
 
     @property
     def states(self) -> int:
         """Number N of the states [x; s; delayed forces]."""
-        return self.K.shape[1] + self.late * len(self.K)
+        return self.K.shape[1] + self.largest_delay * len(self.K)
 
     @cached_property
-    def acting(self) -> list[tuple[float, Array]]:
+    def input_selections(self) -> list[tuple[float, Array]]:
         """Duration [s] and input selection of every piece, shape (m, m pieces): each piece has its own held inputs."""
         m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
@@ -274,7 +274,7 @@ class SampledLoop(CheckedFields):
     def increment(self) -> Array:
         """Undisturbed transition of [x; held inputs] over a period less the identity, shape (n + i, n + i)."""
         total = np.zeros((0, 0))
-        for duration, acting in self.acting:
+        for duration, acting in self.input_selections:
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
             # exp(A t) - I is the integral of exp(A s) A, computed as for a held input A: without cancellation.
@@ -290,10 +290,12 @@ class SampledLoop(CheckedFields):
             To [x; held inputs] at the sample, shape (n + i, N), and to the next states except x, shape (N - n, N).
         """
         n, (m, known) = len(self.plant.A), self.K.shape
-        delayed, late = self.late * m, self.late
+        delayed, late = self.largest_delay * m, self.largest_delay
         N = known + delayed
         gain = np.hstack([self.K, np.zeros((m, delayed))])
-        forces = [gain if not piece.late else np.eye(m, N, known + (late - piece.late) * m) for piece in self.pieces]
+        forces = [
+            gain if not piece.delay_samples else np.eye(m, N, known + (late - piece.delay_samples) * m) for piece in self.pieces
+        ]
         memory = np.hstack([self.A_register, np.zeros((len(self.A_register), delayed))]) + self.B_register @ forces[-1]
         shifted = np.eye(max(delayed - m, 0), N, known + m)
         return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
@@ -308,11 +310,11 @@ class SampledLoop(CheckedFields):
     def noise_to_inputs(self) -> tuple[Array, Array]:
         """Returns the maps of `register` from the noise, instead of the states, shapes (n + i, j) and (N - n, j)."""
         computed, kept = self.noise_gain
-        forces = [np.zeros_like(computed) if piece.late else computed for piece in self.pieces]
+        forces = [np.zeros_like(computed) if piece.delay_samples else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
-        waiting = np.zeros((max(self.late - 1, 0) * len(computed), computed.shape[1]))
+        waiting = np.zeros((max(self.largest_delay - 1, 0) * len(computed), computed.shape[1]))
         start = np.vstack([np.zeros((len(self.plant.A), computed.shape[1])), *forces])
-        return start, np.vstack([memory, waiting, computed] if self.late else [memory])
+        return start, np.vstack([memory, waiting, computed] if self.largest_delay else [memory])
 
     def entering_at(self, angles: Array) -> tuple[Array, Array]:
         """Returns the maps from the noise at zeta = exp(j angle): to [x; held inputs], and to the next controller states.
@@ -324,7 +326,7 @@ class SampledLoop(CheckedFields):
             Shapes (F, n + i, j) and (F, k, j).
         """
         (computed, kept), turned = self.noise_gain, np.exp(1j * angles)
-        forces = [computed * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        forces = [computed * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
         still = np.zeros((len(angles), len(self.plant.A), computed.shape[1]))
         return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
@@ -349,7 +351,7 @@ class SampledLoop(CheckedFields):
             zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
         """
         n, known, turned = len(self.plant.A), self.K.shape[1], np.exp(1j * angles)
-        forces = [self.K * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        forces = [self.K * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
         start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
         matrix = np.empty((len(angles), known, known), dtype=complex)
         step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without cancellation
@@ -386,12 +388,12 @@ class SampledDataProblem:
     @property
     def before(self) -> int:
         """Age in samples of the force that acts just before a sample."""
-        return self.pieces[-1].late + 1
+        return self.pieces[-1].delay_samples + 1
 
     @cached_property
     def stored_forces(self) -> int:
         """Number of previous forces among the states."""
-        return max(self.pieces[0].late, self.before if np.any(self.plant.Dyu) else 0)
+        return max(self.pieces[0].delay_samples, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
     def rows(self) -> Array:
@@ -437,7 +439,7 @@ class SampledDataProblem:
         start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
         start[:n, :n] = np.eye(n)
         for i, piece in enumerate(self.pieces):
-            acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
+            acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the new force comes last
             start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
         moved = np.zeros((n + k * m, n + (k + 1) * m))
         moved[:n] = lifted_loop.Ad[:n] @ start

@@ -59,12 +59,12 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
-    width = n + len(loop.acting) * len(loop.K)
+    width = n + len(loop.input_selections) * len(loop.K)
 
     # Maps to the current [x; held inputs]: `free` from those at the sample, `forced` from every polynomial so far.
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
-    for duration, acting in loop.acting:
+    for duration, acting in loop.input_selections:
         step, through, energy = _part(*with_inputs(plant, acting), plant.Dw, n, duration / parts, degree)
         for _ in range(parts):
             seen_free.append(energy[:, :width] @ free)
@@ -240,7 +240,7 @@ class _Search:
         raise ArithmeticError("the search for the norm of the sampled-data loop did not converge")
 
     def _at(self, level: float) -> _Level | None:
-        lifted_loop = lift_plant(self.loop.plant, self.loop.acting, level)
+        lifted_loop = lift_plant(self.loop.plant, self.loop.input_selections, level)
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:

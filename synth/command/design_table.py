@@ -173,8 +173,8 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
         not_refined = f"not refined: {str(error).removeprefix(f'controller {name!r}: ')}"
         return Row(name, controller, (*notes_on(controller), not_refined), controller.failures, answers=(not_refined,))
     said = notes_on(refined.start) if refined.start is not None else ("the two-step method finds no gain",)
-    judged, traded = designer.judged(refined.controller), refined.traded.partition(";")[0]
-    return Row(name, judged, (*said, *judged.remarks, refined.traded), judged.failures, answers=(traded,), refined=True)
+    judged, traded = designer.judged(refined.controller), refined.trade_off_text.partition(";")[0]
+    return Row(name, judged, (*said, *judged.remarks, refined.trade_off_text), judged.failures, answers=(traded,), refined=True)
 
 
 def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:

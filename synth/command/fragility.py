@@ -20,14 +20,14 @@ class FragilityReport:
     """The fragility of a controller.
 
     Attributes:
-        found: the errors that it tolerates.
-        rounding: certificates with rounded coefficients, by number format.
+        fragility: the errors that it tolerates.
+        rounded_certificates: certificates with rounded coefficients, by number format.
         lines: both in words.
         record: both as JSON.
     """
 
-    found: errors.Fragility
-    rounding: dict[str, Certificate]
+    fragility: errors.Fragility
+    rounded_certificates: dict[str, Certificate]
     lines: list[str]
     record: dict[str, Any]
 
@@ -48,14 +48,20 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
     """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
-    first = min(reports.values(), key=lambda one: len(one.rounding))
-    kinds = {one.found.stable.proof for one in reports.values()}
+    first = min(reports.values(), key=lambda one: len(one.rounded_certificates))
+    kinds = {one.fragility.stable.proof for one in reports.values()}
     fields: list[Field[tuple[str, FragilityReport]]] = [
         Field("errors [%]", lambda of: of[0]),
-        Field("unstable", lambda of: _between(of[1].found.stable)),
-        *([] if len(kinds) == 1 else [Field("proof", lambda of: of[1].found.stable.proof)]),
-        *(Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].found.within[to])) for to in first.found.within),
-        *(Field(name, lambda of, name=name: of[1].rounding[name].norm.value, NORM.form) for name in first.rounding),
+        Field("unstable", lambda of: _between(of[1].fragility.stable)),
+        *([] if len(kinds) == 1 else [Field("proof", lambda of: of[1].fragility.stable.proof)]),
+        *(
+            Field(f"norm + {percent(to)}", lambda of, to=to: _between(of[1].fragility.within[to]))
+            for to in first.fragility.within
+        ),
+        *(
+            Field(name, lambda of, name=name: of[1].rounded_certificates[name].norm.value, NORM.form)
+            for name in first.rounded_certificates
+        ),
     ]
     kind = f" ({kinds.pop()})" if len(kinds) == 1 and all(kinds) else ""
     text = (

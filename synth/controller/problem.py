@@ -73,8 +73,8 @@ class ClosedLoop:
     ) -> Certificate:
         """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
         if self.with_road_heights is None:
-            return certify(self.plant, self.G, X, eta, lower_bound, by_itself=self.plant_without_law)
-        found = certify(self.plant, self.G, lower_bound=lower_bound, by_itself=self.plant_without_law)
+            return certify(self.plant, self.G, X, eta, lower_bound, plant_without_law=self.plant_without_law)
+        found = certify(self.plant, self.G, lower_bound=lower_bound, plant_without_law=self.plant_without_law)
         return replace(found, loop=self.with_road_heights, norm=Norm(np.inf, np.nan, np.inf, np.inf))
 
 

@@ -400,7 +400,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     start = from_some(K, np.hstack([held.plant.Cy, held.plant.Dyu]), rows)
     moved, after = down(few, start, before)
     last = few.at(after)
-    refused = refine(last, None, moved).refused if last is not None else None
+    refused = refine(last, None, moved).refused_stage if last is not None else None
     landscape = Landscape(plant.rows(rows))
     sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
     growth = sizes[1] / sizes[0] if sizes[0] else 1.0

@@ -24,24 +24,25 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array, recursion
-from models.common.checks import CheckedFields, Index, PositiveTime
+from models.common.checks import CheckedFields, Index, PositiveTime, accept_former_names
 from models.laws.linear import LinearLaw
 from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
 LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
 
 
+@accept_former_names(late="delay_samples")
 @dataclass(frozen=True, eq=False)
 class HoldInterval(CheckedFields):
     """A part of the period in which one force is held.
 
     Attributes:
         duration: duration of the interval [s].
-        late: number of samples by which the acting force is delayed.
+        delay_samples: number of samples by which the acting force is delayed.
     """
 
     duration: PositiveTime
-    late: Index
+    delay_samples: Index
 
 
 def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
@@ -96,7 +97,7 @@ class Loop:
         return tuple(f"{LAW_STATE}{i}" for i in range(1, self.law.states + 1))
 
     @cached_property
-    def requested(self) -> tuple[str, ...]:
+    def requested_forces(self) -> tuple[str, ...]:
         """Names, among the outputs, of the forces that the law computes, without what adds to them."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
 
@@ -119,7 +120,7 @@ class Loop:
     def by_step(self) -> tuple[int, ...]:
         """Delay of the force that acts in each step of the period [samples]."""
         assert self.step is not None, "the disturbances are held over steps"
-        return tuple(part.late for part in self.hold for _ in range(round(part.duration / self.step)))
+        return tuple(part.delay_samples for part in self.hold for _ in range(round(part.duration / self.step)))
 
     @cached_property
     def stored_forces(self) -> int:
@@ -127,7 +128,7 @@ class Loop:
         if not self.hold:
             return 0
         measured = self.plant.D[self.plant.rows(self.measured)][:, self.plant.columns(self.forces)].any()
-        return max(self.hold[0].late, self.hold[-1].late + 1 if measured else 0)
+        return max(self.hold[0].delay_samples, self.hold[-1].delay_samples + 1 if measured else 0)
 
     @cached_property
     def _forced_plant(self) -> StateSpace:
@@ -165,19 +166,19 @@ class Loop:
         forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # by age [samples]
         acting = before = u
         if self.hold:
-            acting, last = forces[self.hold[0].late], self.hold[-1].late + 1
+            acting, last = forces[self.hold[0].delay_samples], self.hold[-1].delay_samples + 1
             before = forces[last] if p >= last else 0 * u  # the force that acts until the sample, where a reading contains it
         y = plant.C @ x + plant.D @ np.vstack([acting, d])
         readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
         outputs = np.vstack([y, x_c, law.D @ readings + law.C @ x_c])
         for part in self.hold:
             Phi, Gamma = self.hold_matrices(part.duration)
-            x = Phi @ x + Gamma @ np.vstack([forces[part.late], d])
+            x = Phi @ x + Gamma @ np.vstack([forces[part.delay_samples], d])
         if not self.hold:
             x = plant.A @ x + plant.B @ np.vstack([u, d])
         states = np.vstack([x, law.B @ readings + law.A @ x_c, *forces[:p]])
         A, B, C, D = states[:, :N], states[:, N:], outputs[:, :N], outputs[:, N:]
-        names = (*plant.outputs, *self.law_states, *self.requested)
+        names = (*plant.outputs, *self.law_states, *self.requested_forces)
         return StateSpace(A, B, C, D, plant.inputs, names, self.period if self.hold else None)
 
     @cached_property
@@ -187,7 +188,7 @@ class Loop:
         Raises:
             InputError: a continuous loop whose measurements contain its forces has no solution.
         """
-        return self.open_loop.closed(self.requested, self.forces)
+        return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
         """Returns the loop that is cut at some forces, with the others closed: from the forces that act to those requested."""
@@ -232,7 +233,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
     if P == 1:
         return at_samples(rows)
-    computed = at_samples(system.rows(loop.requested))
+    computed = at_samples(system.rows(loop.requested_forces))
     for i in np.flatnonzero(~outside):
         computed[..., columns[i]] += at_sample[..., i]
     plant, acting = loop.plant, [*range(m), *columns[outside]]
@@ -271,7 +272,7 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
     """
     system, n, m = loop.open_loop, len(loop.plant.A) + loop.law.states, len(loop.forces)
     z, (columns, d) = np.exp(1j * omega * loop.period)[:, None, None], _disturbances(loop, drive)
-    rows = system.rows(loop.requested)
+    rows = system.rows(loop.requested_forces)
     G, H, turned = system.B[:n, :m], system.D[rows, :m], 1.0
     for j in range(loop.stored_forces):
         turned, some = turned / z, slice(n + j * m, n + (j + 1) * m)

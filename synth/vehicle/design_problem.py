@@ -94,7 +94,7 @@ def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[
     """Returns a function that certifies the ideal loop of a law on the readings."""
     from synth.analysis.bounding import certify_tightly
 
-    return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, by_itself=problem.plant)
+    return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:

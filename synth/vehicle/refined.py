@@ -33,9 +33,9 @@ class RefinedController:
     refinement: Refinement
 
     @property
-    def traded(self) -> str:
+    def trade_off_text(self) -> str:
         """The trade-off of the refinement, in words."""
-        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
+        return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 
 def refine_controller(

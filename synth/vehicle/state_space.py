@@ -201,21 +201,15 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
     """
     outputs = [name for name in vehicle.linear_model.outputs if name not in vehicle.linear_model.heights]
     plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None, sums=())
-    return _loop(plain, replace(controller, hardware=NOMINAL), outputs)
+    return loop_to(plain, replace(controller, hardware=NOMINAL), outputs)
 
 
-def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
-    """The same to the weighted output z (34) alone: its norm is the certificate's.
+def loop_to(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
+    """Returns the closed loop to a vehicle's z, whose entries have the names of `outputs`.
 
-    Each output is a signal times its weight in `[performance]`, behind its filter if it has one, and is called `z[signal]`. Where
-    the road has a filter, each input is what comes into it, and is called `w[road]`. The noise of a sensor that the controller is
-    judged with is an input, too, of its rms, and is called `noise[signal]`; so is a load, of what counts as 1 m/s, `load[name]`.
+    If the road has a filter, each input is what comes into it, `w[road]`. The noise of a sensor that the design counts is an
+    input of its rms, `noise[signal]`. A load is an input, too, `load[name]`: 1 is what counts as 1 m/s.
     """
-    return _loop(vehicle, controller, [f"z[{row.name}]" for row in vehicle.weighted])
-
-
-def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
-    """The closed loop to a vehicle's z, whose entries are called so."""
     check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss
 

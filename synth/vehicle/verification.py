@@ -38,7 +38,7 @@ class Verification:
 
     Attributes:
         vehicle, entry, goals: the section with its goals.
-        asked: the goals as a problem on plants.
+        problem: the goals as a problem on plants.
         K: shape (m, q).
         known: cache of worst norms.
     """
@@ -46,7 +46,7 @@ class Verification:
     vehicle: Vehicle
     entry: ControllerEntry
     goals: Goals
-    asked: MultiObjectiveProblem
+    problem: MultiObjectiveProblem
     K: Array
     known: dict[NormSpecification, list[WorstNorm]] = field(default_factory=dict)
 
@@ -58,7 +58,7 @@ class Verification:
 
     def promises(self) -> tuple[Specification, ...]:
         """All of them, what is minimised first."""
-        problem, goals = self.asked, self.goals
+        problem, goals = self.problem, self.goals
         specifications = [*self.largest(goals.minimise, problem.minimise)]
         if problem.bests is not None:
             specifications.append(self.regret(problem.bests))
@@ -84,11 +84,11 @@ class Verification:
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
         """A norm over the family without errors, and with the worst ones."""
-        of = [_norm(member.posed[spec.which], self.K, spec) for member in self.asked.members]
+        of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
-        alone = self.most(what, [each[:2] for each in of], None if self.asked.has_errors else at_most, at=at)
-        if not self.asked.has_errors:
+        alone = self.most(what, [each[:2] for each in of], None if self.problem.has_errors else at_most, at=at)
+        if not self.problem.has_errors:
             return [alone]
         wholes, names = self.worst(spec), (*self.entry.measured, *self.vehicle.linear_model.inputs)
         off = [zip(names, (*each.readings, *each.forces), strict=True) for each in wholes]
@@ -118,12 +118,12 @@ class Verification:
 
     def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
-        problem, proofs = self.asked, []
+        problem, proofs = self.problem, []
         if problem.has_errors:
             worst = self.worst(problem.minimise)
             of, proofs = [(each.found, each.proved) for each in worst], [each.proof for each in worst]
         else:
-            of = [_norm(member.posed[0], self.K, problem.minimise)[:2] for member in problem.members]
+            of = [_norm(member.plants[0], self.K, problem.minimise)[:2] for member in problem.members]
         with_errors = ", with errors" if problem.has_errors else ""
         ratios = [(value / best, proved / best) for (value, proved), best in zip(of, bests, strict=True)]
         return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios, proofs=proofs)
@@ -131,7 +131,7 @@ class Verification:
     def worst(self, spec: NormSpecification) -> list[WorstNorm]:
         """The norm of every member with the worst errors."""
         if spec not in self.known:
-            members = range(len(self.asked.members))
+            members = range(len(self.problem.members))
             self.known[spec] = [
                 self.worst_of(i, spec) if spec.band == EVERYWHERE else self.worst_in_band(i, spec) for i in members
             ]
@@ -139,15 +139,15 @@ class Verification:
 
     def worst_of(self, i: int, spec: NormSpecification) -> WorstNorm:
         """The norm of a member at all frequencies, or behind the filter of a band, with the worst errors."""
-        tolerance, enough = self.asked.tolerance, spec.at_most if np.isfinite(spec.at_most) else None
-        problem = in_band(self.asked.members[i].posed[spec.which], spec.band)
+        tolerance, enough = self.problem.tolerance, spec.at_most if np.isfinite(spec.at_most) else None
+        problem = in_band(self.problem.members[i].plants[spec.which], spec.band)
         return worst_norm(problem, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
 
     def worst_in_band(self, i: int, spec: NormSpecification) -> WorstNorm:
         """The norm of a member in a band with the worst errors, proved by multipliers, or else behind a filter."""
-        problem, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
-        best = self.asked.bests[i] if spec is self.asked.minimise and self.asked.bests is not None else 1.0
-        tried = [worst_of_norm(self.asked, i, spec, best, self.K)[1], self.asked.no_errors]
+        problem, tolerance = self.problem.members[i].plants[spec.which], self.problem.tolerance
+        best = self.problem.bests[i] if spec is self.problem.minimise and self.problem.bests is not None else 1.0
+        tried = [worst_of_norm(self.problem, i, spec, best, self.K)[1], self.problem.no_errors]
         unit = max(_norm(each.on(problem), self.K, spec)[0] for each in tried)
         gain, proof = scaled_gain(problem, self.K), None
         box = box_of(gain, tolerance.sensors, tolerance.forces)
@@ -164,16 +164,16 @@ class Verification:
 
     def decay(self, rate: float) -> list[Specification]:
         """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
-        slowest = [_slowest(member.posed[0], self.K) for member in self.asked.members]
+        slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]
         i = int(np.argmax(slowest))
         specifications = [Specification("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
-        if not self.asked.has_errors:
+        if not self.problem.has_errors:
             return specifications
-        rates, proofs, tolerance = [], list[Proof | None](), self.asked.tolerance
-        for i, member in enumerate(self.asked.members):
-            beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
-            rates.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
-            moved = _shifted_plant(member.posed[0], rate)
+        rates, proofs, tolerance = [], list[Proof | None](), self.problem.tolerance
+        for i, member in enumerate(self.problem.members):
+            beyond, errors = worst_of_norm(self.problem, i, None, rate, self.K)
+            rates.append(max(_slowest(errors.on(member.plants[0]), self.K), slowest[i]))
+            moved = _shifted_plant(member.plants[0], rate)
             proofs.append(stable_with_errors(moved, self.K, tolerance.sensors, tolerance.forces) if beyond < 1 else None)
         of = [(each, -rate if proof is not None else np.inf) for each, proof in zip(rates, proofs, strict=True)]
         return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
@@ -181,8 +181,8 @@ class Verification:
     def energy_peak(self, bound: EnergyBound, which: int) -> Specification:
         """The largest magnitude of a signal for all roads of given energy."""
         of = []
-        for member in self.asked.members:
-            problem, signal = member.posed[self.asked.minimise.which], member.signals[which]
+        for member in self.problem.members:
+            problem, signal = member.plants[self.problem.minimise.which], member.signals[which]
             try:
                 peaks = energy_peaks(problem, problem.acting(self.K) @ problem.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
@@ -193,7 +193,7 @@ class Verification:
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
         """The largest magnitude of a signal over a road."""
-        of = [peak_over_road(member.driven_by[which], self.K) for member in self.asked.members]
+        of = [peak_over_road(member.driven_by[which], self.K) for member in self.problem.members]
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
         values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.peak).unit
         return self.most(f"largest {bound.peak} over {bound.road}", values, bound.at_most, unit, at)

@@ -265,12 +265,12 @@ def test_another_rate_limit_is_found(kind, law):
     limits = clean.vehicle.limits
     assert limits.force_rate is not None
     other = dataclasses.replace(clean.vehicle, limits=dataclasses.replace(limits, force_rate=(1 + SHARE) * limits.force_rate))
-    commands, ended = faulty(clean, other).agreement.commands, clean.agreement.ended["rate limit"]
+    commands, ended = faulty(clean, other).agreement.commands, clean.agreement.end_times["rate limit"]
     assert ended == clean.agreement.until < clean.physics.time[-1]
     assert commands is not None
     assert not commands.agrees
     assert commands.since == pytest.approx(ended - 4e-3 * (law == "law"))
-    assert np.isfinite(clean.agreement.ended["force saturation"])
+    assert np.isfinite(clean.agreement.end_times["force saturation"])
 
 
 @pytest.mark.parametrize("regime", ["saturation", *attacks(["linear", "semi-active"])])

@@ -94,5 +94,5 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     assert (end["predicted end"], end["ended by"]) == ("lift-off", "lift-off")
     assert float(end["off by, of a peak"]) < 1e-3  # RK4's at 2 ms, of the switched response; of the linear one it is 1
     bump = [row for row in found["tables"]["bump"] if row["controller"] == "I"]
-    assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.ended['damper']:.4g}"}
+    assert {row["linear until [s]"] for row in bump} == {f"{run.agreement.end_times['damper']:.4g}"}
     assert {row["to continuous"] for row in found["tables"]["agreement"]} == {"-"}

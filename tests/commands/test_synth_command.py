@@ -215,7 +215,7 @@ def test_refine_belongs_to_the_designer(designer, capsys):
     assert max(map(abs, first["gain"][0])) < 11000
     assert any(note.startswith("refined: gamma 7.843188 -> ") and "not accepted" in note for note in first["notes"])
     assert row["gain"] == refined.controller.gain.tolist()
-    assert row["notes"] == [refined.traded]
+    assert row["notes"] == [refined.trade_off_text]
     assert refined.start is not None
     assert refined.start.certificate.norm.value == pytest.approx(refined.refinement.before, rel=1e-9)  # where the search stops
     assert refined.controller.certificate.norm.value == pytest.approx(refined.refinement.after, rel=1e-8)  # likewise
@@ -227,7 +227,7 @@ def test_refine_from_nothing():
     """If the two steps find no gain, as with L = 0, it starts from what stabilises the car, and says from where."""
     refined = Designer(read_vehicle("quarter_car")).refine("II", zero_l=True)
     assert refined.start is None
-    assert refined.traded.startswith(f"refined: from {refined.origin}; gamma ")
+    assert refined.trade_off_text.startswith(f"refined: from {refined.origin}; gamma ")
     assert refined.controller.certificate.failures == ()
 
 

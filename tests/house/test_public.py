@@ -241,3 +241,12 @@ def test_lists_do_for_matrices():
     assert synth.static_output_feedback(plant, Cy).certificate.norm.value == pytest.approx(0.25, rel=1e-3)
     with pytest.raises(models.InputError, match=r"K has shape \(1, 2\); expected \(1, 1\)"):
         synth.refine(plant, Cy, np.array([[1.0, 2.0]]))
+
+
+def test_former_names():
+    """Arguments and attributes of public names that have been renamed are accepted by their former names, too."""
+    plant = synth.MeasuredPlant(synth.GeneralizedPlant([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[0.0]]), [[1.0]])
+    assert synth.HoldInterval(duration=0.1, late=2).delay_samples == synth.HoldInterval(0.1, delay_samples=2).late == 2
+    assert synth.FamilyMember(posed=(plant,)).plants == synth.FamilyMember((plant,)).posed == (plant,)
+    certificates = [synth.certify(plant, [[0.0]], **{name: plant}) for name in ("by_itself", "plant_without_law")]
+    assert len({one.norm.value for one in certificates}) == 1

@@ -273,7 +273,7 @@ def test_add_a_driver_and_an_observer(tmp_path):
         from sim.drive.case import Case
         from sim.drive.drive import drive
         from sim.drive.drivers.relay import Relay
-        from sim.observers.registry import observer
+        from models.common.extensions import OBSERVERS
         from sim.runs.run import run_controllers, sample_times
 
         text = read_vehicle("quarter_car").text + "\\n[implementation]\\nsample_period = 2e-3\\ndelay = 1\\n"
@@ -284,7 +284,7 @@ def test_add_a_driver_and_an_observer(tmp_path):
             force = -law.force * np.sign(one.physics["sprung_velocity"][::2]).repeat(2)
             print(one.passed, np.array_equal(one.physics["control_force"][2:], force[: len(time) - 2]))
         for streamed in (False, True):
-            (peaks,) = drive([Case(vehicle, law, road) for law in laws], time, observer("peaks"), streamed=streamed)
+            (peaks,) = drive([Case(vehicle, law, road) for law in laws], time, OBSERVERS.load("peaks"), streamed=streamed)
             some = [signal.name != "road_velocity" for signal in runs[0].physics.signals]
             # Heights midway through steps are rounded otherwise in streamed batches.
             recorded = [abs(one.physics.values).max(axis=0) for one in runs]

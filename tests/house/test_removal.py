@@ -59,7 +59,13 @@ def removable() -> dict[str, tuple[str, list[str]]]:
     }
 
 
-SAMPLES = ("models.parts.stop", "synth.design.fallback", "sim.runs.decay", "sim.drive.drivers.linear", "sim.observers.energy")
+SAMPLES = (
+    "models.parts.stops.part",
+    "synth.design.fallback",
+    "sim.runs.decay",
+    "sim.drive.drivers.linear",
+    "sim.observers.energy",
+)
 EVERY = dict.fromkeys(row.partition(":")[0] for sort, rows in EXTENSIONS.items() if sort not in TOGETHER for row in rows.values())
 
 

@@ -13,7 +13,7 @@ from models.characteristics.curve_reading import StopTableSection
 from models.common import schema
 from models.laws import semi_active
 from models.laws.combinations import DEMANDS, KINDS
-from models.roads.load import LOADS
+from models.roads.loads.load import LOADS
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import SECTIONS, Vehicle, read_vehicle, shipped_vehicles
 from sim.campaign.samples import DISTRIBUTIONS, METHODS

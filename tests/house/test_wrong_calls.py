@@ -60,7 +60,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
     )
     anywhere = np.ones((1, 1), dtype=bool)
     problem = synth.MultiObjectiveProblem((member,), goal, none, anywhere, gain=5.0)
-    piece = synth.HoldInterval(duration=0.01, late=0)
+    piece = synth.HoldInterval(duration=0.01, delay_samples=0)
     loop = synth.SampledLoop(plant, (piece,), array([[0.0, -2.0]]), np.zeros((0, 2)), np.zeros((0, 1)))
     import control
 
@@ -131,7 +131,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None}),
         "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
         "MeasuredPlant": (synth.MeasuredPlant, {**measured, "Dyw": None}),
-        "FamilyMember": (synth.FamilyMember, {"posed": (plant_problem,), "driven_by": (), "signals": ()}),
+        "FamilyMember": (synth.FamilyMember, {"plants": (plant_problem,), "driven_by": (), "signals": ()}),
         "GainErrors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
         "MultiObjectiveProblem": (
             synth.MultiObjectiveProblem,
@@ -152,13 +152,20 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "h2_design": (synth.h2_design, {**measured, "Dyw": None, "states": states}),
         "certify": (
             synth.certify,
-            {"plant": plant, "G": synth.Feedback(K, Cy), "X": np.eye(2), "eta": 0.1, "lower_bound": None, "by_itself": None},
+            {
+                "plant": plant,
+                "G": synth.Feedback(K, Cy),
+                "X": np.eye(2),
+                "eta": 0.1,
+                "lower_bound": None,
+                "plant_without_law": None,
+            },
         ),
         "hinf_norm": (synth.hinf_norm, {"system": plant}),
         "norm_in_band": (synth.norm_in_band, {"loop": plant, "low": 1.0, "high": 3.0}),
         "worst_norm": (synth.worst_norm, {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None}),
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
-        "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
+        "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "delay_samples": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
         "SampledLoop.of_gain": (synth.SampledLoop.of_gain, {**measured, "K": K, "sample_period": 0.01, "delay": 0.5}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
@@ -203,7 +210,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
 # What is right after all: another value of the same type, or what is left out by default.
 GOOD = {
     "None": "folder varied usual suspended sample_period beyond dt lower_bound Dyw structure decay gain bests noise X eta "
-    "by_itself through enough Cy beyond_control iri motion order design minimise tolerance largest_gain people",
+    "plant_without_law through enough Cy beyond_control iri motion order design minimise tolerance largest_gain people",
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
     "force stiffness damping ratio stem joint",
     "-1": "height depth amplitude factor index",

@@ -11,8 +11,8 @@ import pytest
 
 from models.kinds.links import SIDES
 from models.roads.choice import choose_road
-from models.roads.load import Cornering
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Cornering
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.rig import Rig
 from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model

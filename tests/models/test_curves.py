@@ -153,7 +153,7 @@ def test_a_straight_curve_is_the_linear_vehicle(paper):
             for response in ("physics", "sampled"):
                 a, b = getattr(one, response)[name], getattr(plain, response)[name]
                 assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
-        assert np.isinf(one.agreement.ended[CURVE.name])
+        assert np.isinf(one.agreement.end_times[CURVE.name])
 
 
 SURFACE = "{ velocity = [-1, 0, 1], deflection = [-0.05, 0.05], force = [[-900, -1500], [0, 0], [700, 1900]] }"

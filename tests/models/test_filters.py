@@ -21,10 +21,11 @@ from synth.controller.problem import generalized_plant, measurements, plant_stat
 from synth.plant.generalized import Feedback
 from synth.plant.units import speed
 from synth.vehicle.designer import Designer
-from synth.vehicle.state_space import closed_loop, weighted_loop
+from synth.vehicle.state_space import closed_loop
 from tests.support.commands import attacks, refused
 from tests.support.pages import site
 from tests.support.shared import designed
+from tests.support.weighted import weighted_loop
 
 WK = 'sprung_acceleration = { filter = "iso2631_wk" }'
 LEAD = "control_force = { weight = 1e-4, numerator = [1.0, 50.0], denominator = [1.0, 500.0] }"

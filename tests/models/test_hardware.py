@@ -18,9 +18,10 @@ from synth.controller.loop_of import loop_of, radius
 from synth.controller.problem import generalized_plant, plant_states, problem
 from synth.controller.report import judged_lines
 from synth.vehicle.designer import Designer, certify_given
-from synth.vehicle.state_space import closed_loop, weighted_loop
+from synth.vehicle.state_space import closed_loop
 from tests.support.active_suspension import PRINTED, active_suspension
 from tests.support.commands import attacks
+from tests.support.weighted import weighted_loop
 
 EXAMPLE = Path(__file__).parents[1] / "support" / "active_suspension.toml"
 NOISE = {"suspension_deflection": 1e-3, "sprung_velocity": 2e-2, "sprung_acceleration": 0.3}

@@ -14,9 +14,10 @@ from sim.runs.run import run_controllers, sample_times
 from synth.controller.problem import generalized_plant, plant_states
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from synth.vehicle.state_space import closed_loop, weighted_loop
+from synth.vehicle.state_space import closed_loop
 from tests.support.commands import attacks, refused
 from tests.support.shared import designed, printed
+from tests.support.weighted import weighted_loop
 
 PI = "suspension_deflection = { weight = 2.0, numerator = [0.05, 0.15], denominator = [1.0, 0.0] }"
 HEIGHT = "height = { weight = 0.5, sum = { suspension_deflection = 1.0, tyre_deflection = 1.0 } }"

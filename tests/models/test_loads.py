@@ -18,9 +18,9 @@ from models.kinds.rigid_motion import SHORTEST, STRUT
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
-from models.roads.load_choice import History, choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import History, choose_load
+from models.roads.loads.load import LOADS
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.roads.road import Bump, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -119,7 +119,7 @@ def test_what_no_step_confirms_is_not_compared():
     assert run.passed
     assert agreement.steps is not None
     assert agreement.equations_invalid
-    assert agreement.until == agreement.steps.until < agreement.ended[LIFT_OFF.name]
+    assert agreement.until == agreement.steps.until < agreement.end_times[LIFT_OFF.name]
     shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
     assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
     assert f"until {agreement.until:.4g} s ({INVALID_EQUATIONS})" in verdict(run).text

@@ -84,6 +84,6 @@ def test_a_limit_acts_behind_the_lag_or_before(order, says):
     assert np.abs(forces - force).max() < 5e-5 * most  # limits and kinks within a step; the other order is off by a quarter
     assert np.abs(strokes - stroke).max() < 5e-5 * np.abs(stroke).max()
     limited = np.abs(request if order == "command" else force) >= most
-    assert 0 < run.agreement.ended[SATURATION.name] == pytest.approx(5e-3 * limited.argmax())
+    assert 0 < run.agreement.end_times[SATURATION.name] == pytest.approx(5e-3 * limited.argmax())
     assert 40 < limited.sum() < 80  # of 120 samples
     assert any(says in line.text for line in reasons(run))

@@ -26,9 +26,9 @@ from scipy.interpolate import CubicHermiteSpline
 from models.characteristics import LEAVES
 from models.characteristics.ratio_table import RatioTable
 from models.common.errors import InputError
+from models.common.extensions import PARTS
 from models.parts.part import Line, Part, SettablePart, Stack, Straight
 from models.parts.ratio import AtRatio, Constant
-from models.parts.registry import PARTS, part_class
 from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_model
 from models.vehicle.suspension_forces import SuspensionForces
@@ -36,8 +36,8 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.drive.regime import departures
 from sim.inspect.__main__ import main as inspect
+from sim.linear.prediction import predict_run
 from sim.observers.recorder import Recording
-from sim.runs.prediction import predict_run
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times, with_energy_balance
 from synth.controller.controller import AnyController
 from synth.vehicle.designer import driver_of
@@ -545,7 +545,7 @@ def test_numbers_from_outside_the_project(name):
     for curve in re.findall(r"(?m)^(suspension_stiffness|suspension_damping) =", sections):
         text = re.sub(rf"(?m)^{curve} = .*\n", "", text)
     parts = [one.part for one in parse_vehicle(f"{text}\n{sections}\n").parts]
-    (part,) = (one for one in parts if isinstance(bare(one), part_class(ROWS[name].part)))
+    (part,) = (one for one in parts if isinstance(bare(one), PARTS.load(ROWS[name].part)))
     z = np.array([np.ravel(own) for *_, own in points]) if len(points[0]) > 4 else np.zeros((len(points), 0))
     d, v, u, pull = np.array([point[:4] for point in points], dtype=float).T
     np.testing.assert_allclose(part.pull(d, v, z, u), pull, rtol=1e-9, atol=1e-9)
@@ -604,7 +604,7 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
         if line.rates is not None:  # over (z, d, v, u)
             found = np.vstack([found, np.roll(line.rates, 3, axis=1)])
         expected = np.stack([slope(partial(moved, part, i)) for i in range(3 + len(part.states))], axis=-1)
-        if any(ROWS[name].friction and isinstance(bare(part), part_class(ROWS[name].part)) for name in names):
+        if any(ROWS[name].friction and isinstance(bare(part), PARTS.load(ROWS[name].part)) for name in names):
             expected = expected[:-1, :-1]  # without the last state
         np.testing.assert_allclose(found[0, :3], expected[0, :3], rtol=1e-7, atol=1e-6)
         assert np.array_equal(found[0, :3] == 0, np.abs(expected[0, :3]) < 1e-6), "exactly 0"
@@ -617,7 +617,7 @@ def test_the_line_at_rest_is_the_derivative(kind, names, ratio):
             rates, apart = part.rate(d, v, z), part.rate_beyond(d, v, z)
             assert np.abs(apart - (rates - line.rate(d, v, z))).max() <= EXACT * np.abs(rates).max()
         rows = [ROWS[name] for name in names]
-        rows = [row for row in rows if isinstance(bare(part), part_class(row.part)) or (part.inputs and row.slot == "damper")]
+        rows = [row for row in rows if isinstance(bare(part), PARTS.load(row.part)) or (part.inputs and row.slot == "damper")]
         ends = [row.line for row in rows if row.line is not None]
         if rows and len(ends) == len(rows) and ratio != "over travel":
             ends = np.min(ends, axis=0)
@@ -893,7 +893,7 @@ def test_the_linear_regime_ends_where_a_part_leaves_its_line(names, ratio):
     (on, *_), (physics, *_) = driven("quarter_car", names, ratio)
     (law,), row, run = laws("quarter_car", names, ratio), ROWS[names[0]], judged(on, physics)
     r, D = law.travel(run.physics["suspension_deflection"])
-    v, ends = r * (run.physics["sprung_velocity"] - run.physics["unsprung_velocity"]), run.agreement.ended
+    v, ends = r * (run.physics["sprung_velocity"] - run.physics["unsprung_velocity"]), run.agreement.end_times
     if row.slot == "stop":
         off = (max(x for x in row.d if x < 0) >= D) | (min(x for x in row.d if x > 0) <= D)
         assert ends["bump stop"] == on.time[off.argmax()] > 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.kinds.kind import GRAVITY
-from models.roads.load import Cornering
+from models.roads.loads.load import Cornering
 from models.roads.road import Bump
 from models.vehicle.file_schema import file_schema
 from models.vehicle.sketch import vehicle_sketch

@@ -20,9 +20,9 @@ from scipy.interpolate import make_interp_spline
 
 import models.roads
 from models.roads.iso8608 import Iso8608
-from models.roads.load import Brake, Cornering, Gust, Lift, Load, Payload
-from models.roads.load_choice import History
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import History
+from models.roads.loads.load import Brake, Cornering, Gust, Lift, Load, Payload
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat, Pothole, Step, WattsHump
 from models.roads.profile import Profile
 from models.roads.rig import Rig

@@ -10,7 +10,6 @@ import pytest
 from models.characteristics.adjustable_range import ActuatorSection
 from models.characteristics.curve_reading import DamperTable, SpringTable, SurfaceTable
 from models.characteristics.ratio_table import RatioSection
-from models.characteristics.stop_section import StopSection
 from models.common.schema import (
     SI,
     AnyTable,
@@ -31,10 +30,11 @@ from models.laws.filter import FilterSection
 from models.laws.goals import DecayBound, EnergyBound, GainBound, Minimise, NormBound, PeakBound
 from models.laws.law_structure import PidSection
 from models.parts.element import PartSite, element_kinds
+from models.parts.stops.section import StopSection
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import LOADS
-from models.roads.load_choice import choose_load
+from models.roads.loads.choice import choose_load
+from models.roads.loads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import TableSettings
 from models.roads.rig_file import RigSettings
@@ -42,7 +42,7 @@ from models.roads.sinusoids import Multisine
 from models.vehicle.controller_section import ControllerSection
 from models.vehicle.limits_and_implementation import ImplementationSection, Limits, LimitsSection
 from models.vehicle.payload import PayloadSection
-from models.vehicle.sections import WeightSection
+from models.vehicle.performance import WeightSection
 from models.vehicle.vehicle import VehicleFile, kind, kinds, parse_vehicle, read_vehicle
 from sim.campaign.file import CampaignFile
 from sim.campaign.samples import SamplesSection

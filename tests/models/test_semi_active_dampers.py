@@ -8,8 +8,8 @@ import pytest
 
 from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
-from models.roads.load import Lift
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Lift
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.sampled_response import largest_timestep
@@ -216,7 +216,7 @@ def test_what_is_missing_is_said():
     said = f"{100 * rms:.2g} % (rms) of the requested force is missing, at {100 * share:.2g} % of the samples"
     assert any(said in line for line in lines)
     assert run.agreement.until == np.inf
-    assert run.agreement.ended["damper"] == first
+    assert run.agreement.end_times["damper"] == first
     (none,) = runs(QUARTER + DAMPER, "passive")
     assert "dampers" in RUN(none)
     assert not any("damp" in line.text for line in reasons(none))
@@ -245,7 +245,7 @@ def test_the_linear_response_foretells_the_first_force_missing():
     assert isinstance(run.controller, Controller)
     linear = sampled_response(run.vehicle, run.controller, BUMP, run.physics.time)
     first = linear.time[np.argmax(np.abs(linear["missing_force"]) > 1e-3)]
-    assert abs(first - run.agreement.ended["damper"]) < 1.5e-3
+    assert abs(first - run.agreement.end_times["damper"]) < 1.5e-3
 
 
 def test_a_timestep_that_rk4_bears_with_every_coefficient():

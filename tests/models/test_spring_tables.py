@@ -10,7 +10,7 @@ from scipy.io import savemat
 from scipy.optimize import brentq
 
 from models.laws.goals import Goals
-from models.parts.stop import Stops
+from models.parts.stops.part import Stops
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle

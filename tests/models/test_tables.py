@@ -7,7 +7,7 @@ import pytest
 
 from models.common.files import parse_toml
 from models.roads.choice import choose_road
-from models.roads.load_choice import parse_history
+from models.roads.loads.choice import parse_history
 from models.roads.rig import Rig
 from models.vehicle.in_place import with_contents
 from tests.support.commands import in_the_suite, refused

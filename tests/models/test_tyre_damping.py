@@ -67,7 +67,7 @@ def test_a_tyre_leaves_the_road_where_its_whole_force_ends():
     closing = physics["unsprung_velocity"] - physics["road_velocity"]
     force = static - p["tyre_stiffness"] * physics["tyre_deflection"] - p["tyre_damping"] * closing
     off = physics.time[(force <= 0).argmax()]
-    assert run.agreement.ended[LIFT_OFF.name] == off > 0
+    assert run.agreement.end_times[LIFT_OFF.name] == off > 0
     deflected = physics.time[(physics["tyre_deflection"] >= static / p["tyre_stiffness"]).argmax()]
     assert off < deflected
     assert run.passed

@@ -14,7 +14,7 @@ import pytest
 from models.common.errors import InputError
 from models.kinds.kind import GRAVITY
 from models.roads.choice import choose_road
-from models.roads.load_choice import choose_load
+from models.roads.loads.choice import choose_load
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_model, build_spec
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -142,7 +142,7 @@ def test_steps_are_those_of_the_exact_equations(case):
     assert run.agreement.steps.error < rounding  # measured 3e-14, and 1e-11 where a tyre's force adds more
     assert run.energy is not None
     assert run.energy.residual < 1e-5  # RK4's share
-    assert all(np.isinf(when) for when in run.agreement.ended.values())
+    assert all(np.isinf(when) for when in run.agreement.end_times.values())
 
 
 def off_by_2_percent(what: str, spec: Any) -> Any:

@@ -14,9 +14,9 @@ from sim.studies.subject import Subject
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
-from synth.vehicle.state_space import weighted_loop
 from synth.vehicle.trade_off.front import front
 from tests.support.commands import attacks, once, prose
+from tests.support.weighted import weighted_loop
 
 MEASURED = 'measured = ["suspension_deflection", "sprung_velocity"]'
 CARRIED = f"\n[controllers.carried]\n{MEASURED}\nloads = {{ heave_load = 1000.0 }}\n"

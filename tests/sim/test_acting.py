@@ -78,7 +78,7 @@ def adjusted():
 def test_a_damper_s_force_lies_between_its_limits(adjusted):
     """The log has the coefficient that acted times the velocity, and the limits at that velocity on either side."""
     run, log = adjusted
-    found = log.acting["dampers"]
+    found = log.other_signals["dampers"]
     velocity, force = found["damper_velocity"], found["damper_force"]
     np.testing.assert_allclose(force, run.physics["damping"] * velocity, atol=1e-6 * np.abs(force).max())  # RK4's reading
     np.testing.assert_allclose(found["damper_force_c_min"], 200.0 * velocity)
@@ -91,7 +91,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
     _, log = adjusted
     layout = json.loads(foxglove_layout([log]))
     (plot,) = [panel for panel in layout["configById"].values() if panel.get("xAxisVal") == "custom"]
-    fields = {f"/dampers.{name}" for name in log.acting["dampers"].names}
+    fields = {f"/dampers.{name}" for name in log.other_signals["dampers"].names}
     assert {plot["xAxisPath"]["value"], *(path["value"] for path in plot["paths"])} == fields
     assert plot["xAxisPath"]["value"] == "/dampers.damper_velocity"
     assert [path["label"] for path in plot["paths"]] == ["c_min", "c_max", "line at rest", "MuJoCo"]
@@ -101,7 +101,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
     path = tmp_path / "run.rrd"
     write_rrd(path, [log], {})
     drawn = np.array(rows(path, "/I/acting/diagrams/damper_force/now", "Points2D:positions")).reshape(-1, 2)
-    found = log.acting["dampers"]
+    found = log.other_signals["dampers"]
     for axis, name, sign in ((0, "damper_velocity", 1.0), (1, "damper_force", -1.0)):
         scaled = sign * found[name] / (1.15 * np.abs(found[name]).max())
         np.testing.assert_allclose(drawn[:, axis], scaled, atol=1e-6)  # single precision

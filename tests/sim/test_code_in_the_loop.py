@@ -92,7 +92,7 @@ def test_what_the_code_changes_is_measured(numbers):
     driver = coded(vehicle, law, numbers, {"suspension_deflection": 0.2, "sprung_velocity": 2.0})
     (run,) = run_controllers(vehicle, [driver], on.road, on.time)
     ours, code = (simulate([one], [on]).response.run(0) for one in (law, driver))
-    effect = run.prediction.code_effect
+    effect = run.agreement.code_effect
     assert effect is not None
     for name in vehicle.linear_model.outputs:
         apart = np.abs(code[name] - ours[name])
@@ -123,7 +123,7 @@ def test_geometry_and_ranges_have_their_words():
     for most, words in ((2.0, "geometry and rounding to int16"), (0.01, "exceeds its range on this road, and is clipped")):
         (run,) = run_controllers(vehicle, [coded(vehicle, law, "int16", dict.fromkeys(law.measured, most))], Bump(), time)
         assert run.passed == (most > 1)
-        assert words in prose(" ".join([*code_notes(run.prediction.code_effect, vehicle), *(one.text for one in reasons(run))]))
+        assert words in prose(" ".join([*code_notes(run.agreement.code_effect, vehicle), *(one.text for one in reasons(run))]))
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +245,7 @@ def test_the_section_of_a_report(folders):
     designer = Designer(vehicle, search=False)
     own, driver = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
     assert isinstance(own, Controller)
-    scope = Subject(vehicle, designer, (own,), STEP, True, exported=driver)
+    scope = Subject(vehicle, designer, (own,), STEP, True, exported_controller=driver)
     assert ("exported", "") in requests_of(scope)
     section = exported_section(scope)
     facts, changes = (dict(zip(*list(zip(*table.rows, strict=True))[:2], strict=True)) for table in section.tables)

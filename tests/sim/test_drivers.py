@@ -12,8 +12,8 @@ from models.roads.road import RoadInput
 from sim import run
 from sim.drive.driver import RecordedForces
 from sim.drive.drivers.registry import DRIVERS
+from sim.linear.prediction import predict_run
 from sim.runs.agreement import compare
-from sim.runs.prediction import predict_run
 from sim.runs.report import reasons, verdict
 from sim.runs.run import compare_runs, sample_times, with_energy_balance
 from synth.vehicle.designer import driver_of
@@ -192,7 +192,7 @@ def test_a_step_request_becomes_a_ramp(period, delay, most, lag):
     for i in range(400 if lag else 0):
         force[i + 1] = force[i] + way * (ramp[i] - force[i])
     np.testing.assert_allclose(one.physics["control_force"], force if lag else ramp, rtol=0, atol=1e-9)
-    assert one.agreement.ended["rate limit"] == one.agreement.until == pytest.approx(0.1 + 1e-3 * period * delay)
+    assert one.agreement.end_times["rate limit"] == one.agreement.until == pytest.approx(0.1 + 1e-3 * period * delay)
     assert any("rate limit: a command first changes as fast as force_rate allows at" in line.text for line in reasons(one))
 
 

@@ -12,8 +12,8 @@ from models.common.errors import InputError
 from models.common.printed import percent
 from models.document.figure import Classes
 from models.kinds.kind import MOST_SQUEEZE
-from models.roads.load import Brake
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Brake
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -116,7 +116,7 @@ def test_loads_over_every_bump(tmp_path, capsys):
     for cell in found["cells"][::2]:
         road = RoadWithLoads(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
         (run,) = run_controllers(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
-        lifted = run.agreement.ended["lift-off"]
+        lifted = run.agreement.end_times["lift-off"]
         assert cell["at"] == (lifted if np.isfinite(lifted) else None)
         if cell["broke_first"] is None:
             assert cell["error"] < 5e-3  # what turning bodies make of it: measured 2e-3
@@ -242,8 +242,8 @@ def test_a_tyre_is_flat_when_it_is(paper, designer):
     for bump in bumps:
         (run,) = run_controllers(paper, [designer.design("I")], bump, time)
         linear = scaled_reached(paper, run.sampled, np.ones(1))[0, REGIME_ENDS.index(FLAT)]
-        others = min(when for name, when in run.agreement.ended.items() if name != FLAT.name)
-        found = run.agreement.ended[FLAT.name]
+        others = min(when for name, when in run.agreement.end_times.items() if name != FLAT.name)
+        found = run.agreement.end_times[FLAT.name]
         if min(linear, found) < others:
             assert found == linear, bump
             met.add("first")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from models.common.extensions import METRICS
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive.response import Response
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride import registry
 from sim.studies.ride.metrics import Metric, measure, metrics_of
 from sim.studies.ride.weighting import sampled_wk, wk
 from synth.vehicle.designer import Designer
@@ -135,6 +135,6 @@ def test_a_metric_without_a_rule_is_refused(monkeypatch):
     monkeypatch.setattr(Metric, "what", "number", raising=False)
     monkeypatch.setattr(Metric, "unit", "-", raising=False)
     monkeypatch.setattr(Metric, "of", "tyres", raising=False)
-    monkeypatch.setitem(registry.METRICS, "number", "sim.studies.ride.metrics:Metric")
+    monkeypatch.setitem(METRICS, "number", "sim.studies.ride.metrics:Metric")
     with pytest.raises(TypeError, match=r"metric 'number': sim\.studies\.ride\.metrics:Metric has no over_runs"):
-        registry.metric_classes.__wrapped__()
+        METRICS.load_all()

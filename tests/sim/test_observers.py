@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from models import Bump, read_vehicle
+from models.common.extensions import OBSERVERS
 from sim import run
 from sim.campaign.batch import run_batch
 from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
-from sim.observers.registry import OBSERVERS, observer
 from sim.studies.stability.edge import search_and_run
 from synth.vehicle.designer import driver_of
 from tests.support.commands import ROOT
@@ -70,7 +70,7 @@ def test_a_run_without_an_observer_leaves_its_result_unknown(name, monkeypatch):
     whole, known = of_run()
     monkeypatch.delitem(OBSERVERS, name)
     without, rest = of_run()
-    assert observer(name) is None
+    assert OBSERVERS.load_if_known(name) is None
     assert rest == known | {name: None} != known
     assert whole.passed
     assert without.passed

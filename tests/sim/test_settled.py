@@ -21,7 +21,7 @@ class Line:
     """One line of a random road, from its own height at the start."""
 
     kinks, speed, loaded = (0.0,), 20.0, Road.loaded
-    track_of, delay_of, from_start, held = Road.track_of, Road.delay_of, Road.from_start, Road.held
+    track_of, delay_of, from_start, held_height = Road.track_of, Road.delay_of, Road.from_start, Road.held_height
 
     def __init__(self, height, omega):
         self.height, self.omega = height, omega

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from models.kinds.kind import GRAVITY
-from models.roads.load_choice import choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import choose_load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat, Step
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle

@@ -10,6 +10,7 @@ import pytest
 from scipy import integrate, special, stats
 
 import sim.command.comparison
+from models.common.printed import three_digits
 from models.roads.iso8608 import Iso8608
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
@@ -19,7 +20,6 @@ from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
 from sim.studies.ride.metrics import Meter, measure
-from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import DEGREES, coefficients, equivalent, line_words, record
 from synth.controller.equivalent_line import averages
 from synth.vehicle.designer import design
@@ -179,9 +179,9 @@ def test_it_says_so(tmp_path, capsys, monkeypatch):
     assert ({*line["slopes"]}, line["second_order"]) == ({*AXLES}, True)
     assert "with second-order remainders" in said
     for name, slope in line["slopes"].items():
-        assert f"{name} {digits(slope)}, in equilibrium {digits(at_rest[name])}" in said
+        assert f"{name} {three_digits(slope)}, in equilibrium {three_digits(at_rest[name])}" in said
     for name, mean in line["mean"].items():
-        assert f"{name} is {digits(1e3 * mean)} mm on average" in said
+        assert f"{name} is {three_digits(1e3 * mean)} mm on average" in said
 
 
 def test_positive_part_of_a_product():

@@ -14,7 +14,7 @@ from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import CONSTANT, trade_off
 from sim.studies.ride.expected import expect
-from sim.studies.ride.standing import KEYS, Score
+from sim.studies.ride.scores import KEYS, Score
 from synth.vehicle.designer import Designer
 from tests.support.commands import main_of, refused
 

@@ -17,9 +17,9 @@ from sim.drive.case import Case
 from sim.drive.driver import RunDriver
 from sim.drive.response import Response
 from sim.linear import sampled_response as linear
+from sim.linear.prediction import Prediction
 from sim.observers import energy as balance
 from sim.observers.recorder import Recording, record
-from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.state_space import StateSpace

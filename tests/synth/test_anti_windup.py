@@ -137,7 +137,7 @@ def test_the_linear_regime_ends_with_the_first_command_at_the_rate_limit(lag):
     commands = simulate([run.controller], [road]).requested_force[0, :, 0]
     first = run.physics.time[(np.abs(np.diff(commands, prepend=0.0)) > 0.8 * (1 - 1e-9)).argmax()]
     assert run.passed
-    assert 0 < first == run.agreement.ended[RATE_LIMIT.name]
+    assert 0 < first == run.agreement.end_times[RATE_LIMIT.name]
     assert [one.times[end] for one in ends] == [first] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled)[[end]]
     times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]))[:, end]
@@ -160,11 +160,11 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     assert 0 < clipped < full - 5e-3
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
     assert run.passed
-    assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
+    assert run.agreement.end_times[SATURATION.name] == run.agreement.until == clipped
     assert any("the command of a lagging actuator first exceeds its largest force" in line.text for line in reasons(run))
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)
     full = time[(np.abs(free.physics["control_force"]) >= 50.0).argmax()]
-    assert clipped < free.agreement.ended[SATURATION.name] == full  # without anti-windup a lag is linear until then
+    assert clipped < free.agreement.end_times[SATURATION.name] == full  # without anti-windup a lag is linear until then
     (ends,) = drive([Case(vehicle, controller, BUMP)] * 2, time, Ends, streamed=True)
     assert [one.times[end] for one in ends] == [clipped] * 2
     (factor,) = 1 / utilisation(vehicle, run.sampled, anti_windup=True)[[end]]

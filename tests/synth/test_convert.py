@@ -8,8 +8,9 @@ from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.drive.response import Response
 from synth.vehicle.designer import design
-from synth.vehicle.state_space import closed_loop, weighted_loop
+from synth.vehicle.state_space import closed_loop
 from tests.support.analysed import continuous_response
+from tests.support.weighted import weighted_loop
 
 TIME = np.arange(2001) * 1e-3
 

@@ -246,7 +246,7 @@ def test_a_band_with_errors(paper):
     without, with_errors = controller.specifications[:2]
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    problem = goal_problem(vehicle, entry, entry.goals).members[0].posed[0]
+    problem = goal_problem(vehicle, entry, entry.goals).members[0].plants[0]
     met = [
         norm_in_band(problem.closed_loop(controller.gain * [1.0, 1.0 + error] @ problem.Cy), 0.5 * HZ, 10 * HZ).value
         for error in np.linspace(-0.2, 0.2, 41)
@@ -294,7 +294,7 @@ def test_no_design_is_unstable_in_its_box(seed):
     """If only a norm in a band counts, a design for random plants is stable at all corners of its box and inside, and proved."""
     asked, rng = boxed(seed), np.random.default_rng(seed)
     design = multi_objective_design(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))])
-    problem, sides = asked.members[0].posed[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
+    problem, sides = asked.members[0].plants[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
     for signs in (*corners, *rng.uniform(-1, 1, (200, 5))):
         off = 1 + signs * sides

@@ -45,7 +45,10 @@ class Simulation:
 
     def __init__(self, loop: Loop) -> None:
         plant, self.loop = loop.plant, loop
-        self.m, self.lates = len(loop.forces), [part.late for part in loop.hold for _ in range(round(part.duration / STEP))]
+        self.m, self.lates = (
+            len(loop.forces),
+            [part.delay_samples for part in loop.hold for _ in range(round(part.duration / STEP))],
+        )
         self.law, self.rows = loop.law.sampled(STEP * len(self.lates)), [plant.outputs.index(name) for name in loop.measured]
         k = plant.B.shape[1]
         self.n, whole = len(plant.A), linalg.expm(STEP * np.block([[plant.A, plant.B], [np.zeros((k, len(plant.A) + k))]]))
@@ -114,7 +117,7 @@ def test_responses_are_simulations(kind):
         mine, T = Simulation(loop), 40 + seed % 3  # part of a period is left
         inputs = {name: rng.standard_normal((2, T)) for name in (*loop.disturbances, *loop.forces)}
         d, added = (np.stack([inputs[name] for name in names], axis=-1) for names in (loop.disturbances, loop.forces))
-        names = (*loop.plant.outputs, *loop.law_states, *loop.requested)
+        names = (*loop.plant.outputs, *loop.law_states, *loop.requested_forces)
         found = respond(loop, names, inputs)
         close(found, np.stack([mine.run(mine.start, d[i], added[i])[0] for i in range(2)]))
         close(respond(loop, names[-1:], {"road": inputs["road"][0]}), respond(loop, names, {"road": inputs["road"][0]})[:, -1:])

@@ -330,7 +330,7 @@ def test_every_norm_is_that_of_the_loop_as_built(car, never_lost):
     found = cost(vehicle, controller, [1e-3, 2e-2])
     assert found.delay == 2
     for at in found.rates:
-        for norm, delay in ((at.undelayed_norm, 0), (at.late, 2)):
+        for norm, delay in ((at.undelayed_norm, 0), (at.delayed_norm, 2)):
             own = norm_as_implemented(replace(vehicle, implementation=Implementation(at.period, delay)), controller)
             assert norm.value == pytest.approx(own.value, rel=2e-8)  # each lies within 1.1e-8 of its levels
 
@@ -404,7 +404,7 @@ def test_a_law_with_states_is_not_designed_for_a_rate(monkeypatch, never_lost):
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "design", _not_asked_for)
     law = LinearLaw(np.array([[-5.0]]), np.array([[0.0, 1.0]]), np.array([[500.0]]), np.array([[0.0, -2000.0]]))
     (at,) = cost(vehicle, replace(design(vehicle, "I"), name="mine", law=law), [1e-2], [1e-2]).rates
-    assert (at.designed, at.undesigned) == (None, "")
+    assert (at.designed_norm, at.design_failure) == (None, "")
 
 
 def _not_asked_for(*given):
@@ -482,7 +482,7 @@ def test_picture(tmp_path, monkeypatch, never_lost):
     """The curves are the norms, which end where the loop is unstable; every rate that was asked for is one of theirs."""
     vehicle = read_vehicle("quarter_car")
     found = cost(vehicle, design(vehicle, "II"), [1e-2, 3e-2, 6e-2, 0.1])
-    for label, kind in (("at once", "undelayed_norm"), ("1 sample late", "late")):
+    for label, kind in (("at once", "undelayed_norm"), ("1 sample late", "delayed_norm")):
         norms = [getattr(at, kind) for at in found.rates]
         x, y = drawn(found, label)
         assert x == pytest.approx([10, 30, 60, 100], rel=1e-12)

@@ -285,7 +285,7 @@ def test_refined():
     before, after = (norm_as_implemented(vehicle, one).value for one in (start, refined.controller))
     assert after <= before
     assert refined.refinement.after == pytest.approx(after, rel=PROVED)
-    assert f"the sampled norm {before:.7g} -> {after:.7g}" in refined.traded
+    assert f"the sampled norm {before:.7g} -> {after:.7g}" in refined.trade_off_text
     problem = held_problem(vehicle, vehicle.controllers["mine"])
     half = refined_further(problem, start.law.D / 2, 8.0)
     assert before * (1 - 1e-3) < half.after < half.before * (1 - 1e-4)

@@ -123,7 +123,7 @@ def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
         plant.D / of_u / root,
         plant.Dw,
     )
-    pieces = tuple(HoldInterval(piece.duration * time, piece.late) for piece in loop.pieces)
+    pieces = tuple(HoldInterval(piece.duration * time, piece.delay_samples) for piece in loop.pieces)
     memory, from_force = loop.A_register * of_s[:, None] / p, loop.B_register * of_s[:, None] / of_u
     return SampledLoop(changed, pieces, loop.K * of_u[:, None] / p, memory, from_force)
 

@@ -10,7 +10,8 @@ import pytest
 from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
-from synth.vehicle.state_space import closed_loop, controller_from, law_system, weighted_loop
+from synth.vehicle.state_space import closed_loop, controller_from, law_system
+from tests.support.weighted import weighted_loop
 
 MEASURED = {
     "velocities": lambda name: "velocity" in name and "road" not in name,

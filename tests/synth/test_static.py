@@ -152,7 +152,7 @@ def test_refinement_is_bounded(designer, name, norm):
     assert certificate.norm.value == pytest.approx(refined.after, rel=1e-8)
     assert designer.state_feedback.gamma * (1 - 1e-8) <= refined.after <= norm
     assert np.abs(refined.gain).max() <= 2 * np.abs(K).max()
-    assert "gamma" in refined.traded
+    assert "gamma" in refined.trade_off_text
 
 
 def test_what_is_unstable_is_not_refined(designer):

@@ -133,7 +133,7 @@ def test_a_law_with_states_stands_between_its_errors(seed):
         gain = scaled_gain(plant.measured(Cy, Dyw), off)
         return norm_at(gain, np.ones(sum(gain.K.shape)))
 
-    same = law.read_as(1 + d).scaled(1 + e)
+    same = replace(law, B=law.B * (1 + d), D=law.D * (1 + d)).scaled(1 + e)
     for found, expected in ((same.B, law.B * (1 + d)), (same.C, law.C * (1 + e[0])), (same.D, law.D * (1 + d) * (1 + e[0]))):
         np.testing.assert_allclose(found, expected, rtol=1e-12)  # of products in another order
     assert worst.unstable == np.isinf(loop(1 + worst.readings, 1 + worst.forces))

@@ -148,11 +148,11 @@ class RandomSignals:
 
     Attributes:
         signal: function of a signal's name; returns it.
-        weighted: function of an acceleration's name; returns the weighted acceleration.
+        weighted_signal: function of an acceleration's name; returns the weighted acceleration.
         window: duration of the measurement [s].
         timestep: timestep [s].
         speed: speed of the vehicle [m/s].
-        varied: share of the variance from road to road that the finite length of a road leaves.
+        variance_share: share of the variance from road to road that the finite length of a road leaves.
         mean: mean of signals whose mean is not zero, by name.
         static: static deflection of every tyre [m].
         strokes: strokes of every suspension with stops in bump and in rebound [m], infinite without a stop.
@@ -160,11 +160,11 @@ class RandomSignals:
     """
 
     signal: Callable[[str], Gaussian]
-    weighted: Callable[[str], Gaussian]
+    weighted_signal: Callable[[str], Gaussian]
     window: float
     timestep: float
     speed: float
-    varied: float
+    variance_share: float
     mean: Mapping[str, float]
     static: Mapping[str, float]
     strokes: Mapping[str, tuple[float, float]]
@@ -181,7 +181,7 @@ class RandomSignals:
         value = math.sqrt(whole) * scale
         # The relative spread of an rms is half that of the mean square.
         variance = signal.mean_square_variance(self.window, clip)
-        return value, value * math.sqrt(self.varied * variance) / (2 * whole) if square else 0.0
+        return value, value * math.sqrt(self.variance_share * variance) / (2 * whole) if square else 0.0
 
 
 def _power_of_two(count: int) -> int:

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import METRICS
 from models.document.document import Document, Pivot, Table, notes
 from models.document.field import Field
 from models.document.figure import Curve, Figure, Panel, drawn_indices
 from models.kinds.links import left_out
-from models.roads.load import Load
-from models.roads.load_choice import choose_load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.choice import choose_load
+from models.roads.loads.load import Load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
@@ -24,7 +25,6 @@ from sim.runs.report import run_statements
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.runs.time_histories import OF_LINE, POINTS
 from sim.studies.ride.metrics import DEGREES, Metric, angles_of, compared_metrics, measure, metrics_of
-from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.run_metrics import METRIC, RunMetrics, measure_run
 from sim.studies.study import Progress, Study
 from sim.studies.subject import Subject
@@ -76,7 +76,7 @@ def loads_section(scope: Subject) -> Document:
     time, angles = sample_times(vehicle, duration_of(scope.loads), scope.timestep), angles_of(vehicle)
     runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)
     travels = [one.deflection for one in vehicle.kind.suspensions]
-    shown, at_end = [one for one in metrics_of(vehicle, loaded=True) if one.loaded], metric_classes().get("final_angle", ())
+    shown, at_end = [one for one in metrics_of(vehicle, loaded=True) if one.loaded], METRICS.load_if_known("final_angle") or ()
     shown += compared_metrics(vehicle).get("peak_travel", ())
     found = [(run.controller.name, measure_run(run, 0)) for run in runs]
     columns: tuple[Field[LeaningRow], ...] = (

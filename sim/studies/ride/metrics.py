@@ -26,12 +26,12 @@ import numpy as np
 
 from models.characteristics import SIDES
 from models.common.arrays import Array
+from models.common.extensions import METRICS
 from models.roads.road import Road
 from models.vehicle.suspension_forces import MotionRatios
 from models.vehicle.vehicle import Vehicle
 from sim.drive.jumps import Jumps
 from sim.drive.response import Response
-from sim.studies.ride.registry import metric_classes
 from sim.studies.ride.weighting import LATE, filter_signals, sampled_wk
 from synth.controller.controller import AnyController
 from synth.controller.loop_of import loop_of
@@ -142,7 +142,7 @@ class Totals:
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric of one signal of a run. Its class is registered in `sim/studies/ride/registry.py`.
+    """A metric of one signal of a run. Its class is registered in `EXTENSIONS`.
 
     Attributes:
         source: signal that is evaluated.
@@ -233,7 +233,7 @@ def squares(values: Array) -> Array:
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
     """Returns the metrics of a vehicle, signal by signal; if loads act on its body, its angles come first."""
     groups: dict[str, list[tuple[type[Metric], Sequence[str]]]] = {}
-    for kind in metric_classes().values():
+    for kind in METRICS.load_all().values():
         if loaded or not kind.loaded:
             groups.setdefault(kind.of, []).append((kind, kind.sources(vehicle)))
     return tuple(
@@ -248,7 +248,7 @@ def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
 def compared_metrics(vehicle: Vehicle, loaded: bool = False) -> dict[str, tuple[Metric, ...]]:
     """Returns, by name of the registry, the metrics of which the largest counts for the vehicle; empty if it has none."""
     return {
-        name: tuple(map(kind, kind.compared(vehicle))) for name, kind in metric_classes().items() if loaded or not kind.loaded
+        name: tuple(map(kind, kind.compared(vehicle))) for name, kind in METRICS.load_all().items() if loaded or not kind.loaded
     }
 
 

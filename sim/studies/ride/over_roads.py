@@ -24,7 +24,7 @@ from sim.observers.recorder import record
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, compared_metrics, metrics_of, over_runs
-from sim.studies.ride.standing import Score, score_of, standing_over_runs
+from sim.studies.ride.scores import Score, score_of, score_over_runs
 from sim.studies.study import Progress, Study
 from sim.studies.subject import AVERAGE, SEEDS, SPEED, Subject
 from synth.controller.controller import AnyController
@@ -170,12 +170,12 @@ class OverRoads:
         meter.update(values)
         self.found = meter.result()
 
-    def standing(self) -> Score:
-        """Returns the standing of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
+    def score(self) -> Score:
+        """Returns the score of the controller on the roads of the class `AVERAGE`, if none of its runs broke off there."""
         runs = self._runs(AVERAGE)
         if not np.isinf(self.ended[runs]).all():
             return score_of(self.vehicle, self.controller.name, {})
-        return standing_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
+        return score_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
 
     def _runs(self, road_class: str) -> slice:
         """Returns the indices of the runs over a class."""
@@ -208,7 +208,7 @@ class OverRoads:
 
 
 class RideStudy(Study[tuple[list[Ride], list[Score]]]):
-    """Ride over random roads, and the controllers' standings there, on a page."""
+    """Ride over random roads, and the controllers' scores there, on a page."""
 
     seconds = 7.0
 
@@ -217,12 +217,12 @@ class RideStudy(Study[tuple[list[Ride], list[Score]]]):
         return {"": scope} if not scope.quick and (scope.stable or scope.laws) else {}
 
     def run(self, request: Subject, progress: Progress) -> tuple[list[Ride], list[Score]]:
-        """Returns the ride of stable controllers and of laws, and their standings and that of passive."""
+        """Returns the ride of stable controllers and of laws, and their scores and that of passive."""
         reported = (*request.stable, *request.laws)
         driven = [OverRoads(request.vehicle, one, request.timestep) for one in reported]
         passive = [] if any(one.name == PASSIVE for one in reported) else [request.designer.design(PASSIVE)]
         beside = [OverRoads(request.vehicle, one, request.timestep, AVERAGE) for one in passive]
-        return [ride for one in driven for ride in one.rides()], [one.standing() for one in (*beside, *driven)]
+        return [ride for one in driven for ride in one.rides()], [one.score() for one in (*beside, *driven)]
 
     def sections(self, scope: Subject, results: Mapping[str, Mapping[str, Any]]) -> list[Document]:
         """See `Study`."""

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import as_name, percent, rough
+from models.common.printed import as_name, percent, rough, three_digits
 from models.document.document import Document, Table, notes
 from models.document.field import OMITTED_KEY, Detail, Field, Record
 from models.document.text import ShownResult, facts
@@ -31,7 +31,6 @@ from sim.studies.ride.expected import (
     settling_time,
 )
 from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, static_angles
-from sim.studies.ride.standing import digits
 from sim.studies.ride.statistical_linearisation import Equivalent, line_words
 from sim.studies.ride.statistical_linearisation import record as of_line
 from synth.controller.controller import AnyController
@@ -91,7 +90,7 @@ class MetricComparison:
 MUJOCO = Field[MetricComparison]("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco")
 EXPECTED_VALUE = Field[MetricComparison]("expected", lambda one: one.expected, ".4g", key="expected")
 ANGLE = Field[float | None]("angle", lambda one: one if one is None or abs(one) > NO_ANGLE else 0.0, ".3g")
-RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, digits, unit="m/s²")
+RIDE = Field[MetricComparison]("expected ride", lambda one: one.expected, three_digits, unit="m/s²")
 SPREAD = Field[MetricComparison]("+- by road", lambda one: one.spread, ".4g", key="spread")
 ERROR = Field[float]("relative error", float, ".1g")
 METRIC: tuple[Field[MetricComparison], ...] = (

@@ -42,12 +42,11 @@ import scipy  # `scipy.special` is imported at its first use, and takes a tenth 
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
-from models.common.printed import percent
+from models.common.printed import percent, three_digits
 from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.studies.ride.quadrature import loop_poles, power_of
-from sim.studies.ride.standing import digits
 from synth.controller.controller import Controller
 from synth.controller.equivalent_line import EquivalentLine, averages, equivalent_line, mean_outputs
 from synth.controller.loop_of import loop_of, radius
@@ -286,8 +285,10 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     if not line.rounds:
         return []
     whole, usual = record(vehicle, line), {one.name: _slope(vehicle, one) for one in vehicle.parts.with_curve}
-    slopes = [f"{name} {digits(slope)}, in equilibrium {digits(usual[name])}" for name, slope in whole["slopes"].items()]
-    slopes += [f"{name} is {digits(1e3 * mean)} mm on average" for name, mean in whole["mean"].items()]
+    slopes = [
+        f"{name} {three_digits(slope)}, in equilibrium {three_digits(usual[name])}" for name, slope in whole["slopes"].items()
+    ]
+    slopes += [f"{name} is {three_digits(1e3 * mean)} mm on average" for name, mean in whole["mean"].items()]
     tabled = any(one.surface is not None for one in vehicle.parts.with_curve)
     note = " A position-dependent damper is replaced by its mean force over all deflections; rms is then exact to 3 %." * tabled
     rest, accuracy = line.remainder, "Rms and dynamic load are exact to 1 %; vdv is up to 4 % too high, energy 5 %, crest 8 %. "

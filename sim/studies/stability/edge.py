@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.extensions import OBSERVERS
 from models.roads.obstacles import Flat
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case
 from sim.drive.drive import drive
-from sim.observers.registry import observer
 from sim.studies.stability.simulated_loop import LoopCase, SimulatedLoop, simulated_loop
 from synth.plant.state_space import StateSpace
 
@@ -134,7 +134,7 @@ def search_and_run(edges: Sequence[StabilityEdge], progress: Callable[[str], Non
         progress(f"{len(edges) - number} margins to go")
         edge.search()
     both = [(edge, amount) for edge in edges if math.isfinite(edge.unstable) for amount in (edge.stable, edge.unstable)]
-    due = [(edge, amount) for edge, amount in both if amount and observer("growth") is not None]
+    due = [(edge, amount) for edge, amount in both if amount and "growth" in OBSERVERS]
     progress(f"{len(due)} runs")
     rates = rates_of_runs([edge.trial(amount) for edge, amount in due], [edge.loop(amount) for edge, amount in due])
     for (edge, amount), rate in zip(due, rates, strict=True):
@@ -151,10 +151,10 @@ def rates_of_runs(trials: Sequence[LoopCase], loops: Sequence[SimulatedLoop]) ->
     lengths = [round(_duration(loop) / loop.loop.period) * round(loop.loop.period / timestep) for loop in loops]
     flat = Flat()
     cases = [
-        Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed)
+        Case(vehicle, trial.controller.feedback, flat, start, trial.undelayed_controller)
         for vehicle, trial, start in zip(vehicles, trials, starts, strict=True)
     ]
-    (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(observer("growth"), lengths), streamed=True)
+    (states,) = drive(cases, np.arange(max(lengths) + 1) * timestep, partial(OBSERVERS.load("growth"), lengths), streamed=True)
     return [
         _rate(state, one.start.motion, loop, end * timestep)
         for state, one, loop, end in zip(states, cases, loops, lengths, strict=True)

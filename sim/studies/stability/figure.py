@@ -33,7 +33,7 @@ def margins_figure(found: StabilityMargins) -> Figure:
 
     The margin is the common zero of both.
     """
-    controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.built.get("")
+    controller, vehicle, loop, built = found.controller, found.vehicle, found.loops[""], found.implemented_loops.get("")
     timestep = loop.timestep
     prompt = loop_of(replace(at_rest(vehicle), implementation=Implementation()), controller, timestep)
     cut = prompt.cut(prompt.forces)

@@ -121,7 +121,7 @@ LOOP = Record[LoopMargins](
 
 def _loop(found: StabilityMargins, name: str) -> dict[str, Any]:
     """Returns the record of a loop; gain, phase and disk are those of the implemented loop, if that differs."""
-    ideal, *built = (LOOP(of[name]) for of in (found.loops, found.built) if name in of)
+    ideal, *built = (LOOP(of[name]) for of in (found.loops, found.implemented_loops) if name in of)
     first = [{key: one[key] for key in IMPLEMENTED_MARGINS} for one in (*built, ideal)]
     return {**ideal, **first[0], "ideal": first[1]} if built else ideal
 
@@ -141,8 +141,8 @@ def record(found: StabilityMargins) -> dict[str, Any]:
 def describe(found: StabilityMargins) -> Document:
     """Returns the margins of a controller as a document."""
     vehicle, controller = found.vehicle, found.controller
-    loops = [(f"{name}, implemented", one) for name, one in found.built.items() if name]
-    loops += [(f"{name}, ideal" if found.built else name, one) for name, one in found.loops.items() if name]
+    loops = [(f"{name}, implemented", one) for name, one in found.implemented_loops.items() if name]
+    loops += [(f"{name}, ideal" if found.implemented_loops else name, one) for name, one in found.loops.items() if name]
     texts = loop_texts(vehicle)
     if _fixed_period(found):
         texts.append("The law is discrete. The margins are those of the continuous law with the same Tustin transform.")
@@ -220,8 +220,8 @@ def _fixed_period(found: StabilityMargins) -> float | None:
 
 def _rows(found: StabilityMargins) -> list[Row]:
     """Returns the margins of all actuators together: of the implemented loop, and of the ideal loop."""
-    rows = _loop_rows(found, found.built[""]) if found.built else []
-    return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.built))]
+    rows = _loop_rows(found, found.implemented_loops[""]) if found.implemented_loops else []
+    return [*rows, *_loop_rows(found, found.loops[""], ", ideal loop" * bool(found.implemented_loops))]
 
 
 def _loop_rows(found: StabilityMargins, one: LoopMargins, of: str = "") -> list[Row]:

@@ -34,12 +34,12 @@ class LoopCase:
     Attributes:
         vehicle: vehicle with its implementation of the controller.
         controller: the controller.
-        undelayed: second controller, whose forces act at every timestep without delay, or None.
+        undelayed_controller: second controller, whose forces act at every timestep without delay, or None.
     """
 
     vehicle: Vehicle
     controller: Controller
-    undelayed: Controller | None = None
+    undelayed_controller: Controller | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def simulated_loop(step: StateSpace, trial: LoopCase) -> SimulatedLoop:
     assert timestep is not None
     delay = math.floor(how.delay)
     hold = tuple(HoldInterval(steps * timestep, late - delay) for steps, late in hold_intervals(how, timestep))
-    plant = _held_forces(step, trial.undelayed)
+    plant = _held_forces(step, trial.undelayed_controller)
     loop = Loop(plant, trial.controller.law, trial.controller.measured, step.inputs, hold, timestep)
     return SimulatedLoop(loop, delay, sum(name in step.inputs for name in step.states))
 

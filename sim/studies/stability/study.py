@@ -19,18 +19,18 @@ class StabilityMargins:
         vehicle: the vehicle as in its file.
         controller: the controller.
         loops: margins of the ideal loop, cut at all actuators under "", and at each of several if requested.
-        built: the same of the implemented loop; empty if it has neither sample period nor delay.
+        implemented_loops: the same of the implemented loop; empty if it has neither sample period nor delay.
     """
 
     vehicle: Vehicle
     controller: Controller
     loops: dict[str, LoopMargins]
-    built: dict[str, LoopMargins]
+    implemented_loops: dict[str, LoopMargins]
 
     @property
     def wrong(self) -> list[str]:
         """Returns the names of the margins for which MuJoCo contradicts the prediction."""
-        loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.built.items()]
+        loops = [(f"{name or 'the loop'} as implemented", one) for name, one in self.implemented_loops.items()]
         loops += [(name or "the loop", one) for name, one in self.loops.items()]
         return [name for name, one in loops if not one.agrees]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.document.document import Document
     from models.document.figure import Figure
-    from models.roads.load import Load
+    from models.roads.loads.load import Load
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
     from sim.runs.run import Run
@@ -130,16 +130,17 @@ examples:
         import numpy as np
 
         from sim.drive.regime import END_NAMES
-        from sim.runs.run import run_controllers
+        from sim.runs.run import run_controllers, sample_times
         from sim.studies.validity.map_runs import with_loads
 
-        nearest, used, (_, time, loads) = {}, result.used.max(axis=-1), _map_of(request)
+        time = sample_times(request.vehicle, request.options.duration, request.options.timestep)
+        nearest, used = {}, result.used.max(axis=-1)
         for end in (-1, *range(len(END_NAMES))):
             mine = np.flatnonzero(result.predicted == end)
             if len(mine):
                 i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
                 what = "nothing breaks" if end < 0 else END_NAMES[end]
-                (run,) = run_controllers(request.vehicle, request.controllers, with_loads(result.bumps[i], loads), time)
+                (run,) = run_controllers(request.vehicle, request.controllers, with_loads(result.bumps[i], result.loads), time)
                 nearest[f"{result.controller.name}_{what}".replace(" ", "_").replace("-", "_")] = run
         return nearest
 
@@ -184,7 +185,9 @@ class EndsStudy(Study["list[RegimeEnd | None]"]):
 
         runs = f"{BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
         return [
-            describe_ends(scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing, Bump(), scope.where, runs)
+            describe_ends(
+                scope.vehicle, [*zip(scope.stable, ends, strict=True)], scope.disagreeing_names, Bump(), scope.where, runs
+            )
             for ends in results[self.name].values()
         ]
 
@@ -195,7 +198,7 @@ def _map_of(request: StudyRequest) -> "tuple[list[Bump], Array, tuple[Load, ...]
     Raises:
         InputError: bad axes or loads, or an axis that another option sets, too.
     """
-    from models.roads.load_choice import choose_load
+    from models.roads.loads.choice import choose_load
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.load import Load
-from models.roads.loaded import RoadWithLoads
+from models.roads.loads.load import Load
+from models.roads.loads.road_with_loads import RoadWithLoads
 from models.roads.road import Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.load import Load
+from models.roads.loads.load import Load
 from models.roads.road import HIGHEST, Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.case import Case

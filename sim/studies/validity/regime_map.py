@@ -20,7 +20,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import percent
-from models.roads.load import Load
+from models.roads.loads.load import Load
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import DAMPER, END_NAMES, REGIME_ENDS, first_end, scaled_reached

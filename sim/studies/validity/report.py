@@ -22,7 +22,7 @@ from models.roads.road import Bump
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.drive.regime import CURVE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, End
-from sim.runs.prediction import NONLINEAR
+from sim.linear.prediction import NONLINEAR
 from sim.studies.validity.edges import HEIGHT, edge_document, edges
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_end import WITHIN, RegimeEnd

@@ -31,7 +31,7 @@ class Refinement:
         before: the norm it started from.
         after: the norm it ended at.
         growth: largest entry of the gain in the loop's own units, after over before.
-        refused: relative decrease of gamma by one more stage, and its growth of the gain; None if gamma would not decrease.
+        refused_stage: relative decrease of gamma by one more stage, and its growth of the gain; None if gamma would not decrease.
         what: the norm, in words.
     """
 
@@ -39,16 +39,16 @@ class Refinement:
     before: float
     after: float
     growth: float
-    refused: tuple[float, float] | None
+    refused_stage: tuple[float, float] | None
     what: str = "gamma"
 
     @property
-    def traded(self) -> str:
+    def trade_off_text(self) -> str:
         """The trade-off in words."""
         text = f"{self.what} {digits(self.before)} -> {digits(self.after)} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain multiplied by {brief(self.growth)}"
-        if self.refused is not None:
-            bought, growth = self.refused
+        if self.refused_stage is not None:
+            bought, growth = self.refused_stage
             text += f"; not accepted: another {percent(bought)} less {self.what} for {brief(growth)} times the gain"
         return text
 

@@ -49,7 +49,7 @@ class MultiObjectiveDesign:
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
-            problem = member.posed[self.problem.minimise.which].without_weighting
+            problem = member.plants[self.problem.minimise.which].without_weighting
             if not self.problem.has_errors:
                 loop = problem.closed_loop(Feedback(problem.acting(self.gain), problem.Cy))
                 members += [] if is_stable(loop.A, loop.dt) else [i]
@@ -96,7 +96,7 @@ def multi_objective_design(
         array([[-5.]])
     """
     if (
-        any(plant_problem.dt is not None for member in problem.members for plant_problem in member.posed)
+        any(plant_problem.dt is not None for member in problem.members for plant_problem in member.plants)
         and problem.decay is not None
     ):
         raise InputError("decay [rad/s] is for continuous plants only; omit it and bound a norm instead")
@@ -126,7 +126,7 @@ def run_search(problem: MultiObjectiveProblem, on_progress: Progress = quiet) ->
     """Runs the search, started from the two steps of the first, middle and last member, and from its own starts."""
     count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
-        plant_problem = problem.members[i].posed[0]
+        plant_problem = problem.members[i].plants[0]
         of_state = np.any(plant_problem.Cy != 0, axis=1)  # of forces alone nothing is designed
         with contextlib.suppress(InputError):
             gains.append(

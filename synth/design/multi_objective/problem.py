@@ -7,7 +7,18 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, Bound, CheckedFields, Index, Matrix, NotNegative, Positive, Vector, check_shape
+from models.common.checks import (
+    AT_LEAST_ONE,
+    Bound,
+    CheckedFields,
+    Index,
+    Matrix,
+    NotNegative,
+    Positive,
+    Vector,
+    accept_former_names,
+    check_shape,
+)
 from models.common.errors import InputError
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
@@ -24,7 +35,7 @@ class NormSpecification(CheckedFields):
     """Norm in a band, minimised or bounded.
 
     Attributes:
-        which: index of the plant among a member's `posed`.
+        which: index of the plant among a member's `plants`.
         band: lower and upper frequency [rad/s].
         at_most: the bound; infinite for what is minimised.
         name: description.
@@ -64,17 +75,18 @@ def MeasuredPlant(plant: Plant, Cy: Matrix, Dyw: Matrix | None = None, through: 
     return replace(plant, Cy=Cy, Dyw=Dyw, Dyu=through)
 
 
+@accept_former_names(posed="plants")
 @dataclass(frozen=True, eq=False)
 class FamilyMember(CheckedFields):
     """A plant of a family, with its signals.
 
     Attributes:
-        posed: the plant with its measurements and the z of each norm.
+        plants: the plant with its measurements and the z of each norm.
         driven_by: the plant on roads, each with its bounded signal.
-        signals: signals of the first of `posed` with a bound for roads of given energy.
+        signals: signals of the first of `plants` with a bound for roads of given energy.
     """
 
-    posed: Annotated[tuple[Plant, ...], AT_LEAST_ONE]
+    plants: Annotated[tuple[Plant, ...], AT_LEAST_ONE]
     driven_by: tuple[RoadLoop, ...] = ()
     signals: tuple[BoundedSignal, ...] = ()
 
@@ -136,7 +148,7 @@ class MultiObjectiveProblem(CheckedFields):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        q, m = self.members[0].posed[0].Dyu.shape
+        q, m = self.members[0].plants[0].Dyu.shape
         if not m or not q:
             raise InputError(f"the plants of the family have {m} inputs and {q} measurements; give at least one of each")
         check_shape("structure", self.structure, (m, q), "a row for each input, and a column for each measured signal")
@@ -146,7 +158,7 @@ class MultiObjectiveProblem(CheckedFields):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
                 raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each peak or member")
-        fewest = min(len(member.posed) for member in self.members)
+        fewest = min(len(member.plants) for member in self.members)
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
@@ -189,7 +201,7 @@ class MultiObjectiveProblem(CheckedFields):
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
         """Returns the landscape of a member's plant with errors."""
-        return BandLandscape(errors.on(self.members[i].posed[which]), band, like)
+        return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
         """Returns the landscape of the first member without errors, which defines the points of all."""

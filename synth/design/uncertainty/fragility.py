@@ -36,7 +36,7 @@ def rounding(law: LinearLaw, closed: Callable[[LinearLaw], tuple[Plant, Feedback
         closed: returns the plant and the gain of a law.
         plant: plant without the law's states.
     """
-    return {to: certify_tightly(*closed(round_law(law, to)), by_itself=plant) for to in FORMATS}
+    return {to: certify_tightly(*closed(round_law(law, to)), plant_without_law=plant) for to in FORMATS}
 
 
 def round_law(law: LinearLaw, to: str) -> LinearLaw:

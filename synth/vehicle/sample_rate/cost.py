@@ -79,16 +79,16 @@ class AtRate:
     Attributes:
         period: sample period [s].
         undelayed_norm: norm of the loop without delay.
-        late: norm of the loop with the delay `Cost.delay`.
-        designed: norm without delay of a controller designed for this rate; None without such a design.
-        undesigned: reason if that design was requested and failed, or empty.
+        delayed_norm: norm of the loop with the delay `Cost.delay`.
+        designed_norm: norm without delay of a controller designed for this rate; None without such a design.
+        design_failure: reason if that design was requested and failed, or empty.
     """
 
     period: float
     undelayed_norm: SampledNorm
-    late: SampledNorm
-    designed: SampledNorm | None = None
-    undesigned: str = ""
+    delayed_norm: SampledNorm
+    designed_norm: SampledNorm | None = None
+    design_failure: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class Cost:
     @property
     def redesigned(self) -> bool:
         """True if a design for any rate was made or tried."""
-        return any(at.designed is not None or at.undesigned for at in self.rates)
+        return any(at.designed_norm is not None or at.design_failure for at in self.rates)
 
     def loss(self, norm: SampledNorm) -> float:
         """Returns the relative excess of a norm over the continuous loop's; negative if it is less, infinite if unstable."""

@@ -23,7 +23,11 @@ LITTLE = 1e-2  # relative: a rate that costs no more is cheap
 SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 FEW = 2  # controllers with a table each; those of more would not fit a terminal
 Kind = Callable[[AtRate], SampledNorm | None]  # one of the norms at a rate
-KINDS: dict[str, Kind] = {"at once": lambda at: at.undelayed_norm, "late": lambda at: at.late, "designed": lambda at: at.designed}
+KINDS: dict[str, Kind] = {
+    "at once": lambda at: at.undelayed_norm,
+    "late": lambda at: at.delayed_norm,
+    "designed": lambda at: at.designed_norm,
+}
 
 
 def describe(costs: Sequence[Cost], lag: str = "") -> Document:
@@ -68,7 +72,9 @@ def _table(one: Cost, lag: str, detail: Detail) -> Document:
     title = f"controller {name}: norm in continuous time{', with ' if lag else ''}{lag} is {ideal}{bound}"
     fields = [RATE, *(Field[AtRate](label, partial(_cell, one, KINDS[label])) for label in [*KINDS][: 2 + one.redesigned])]
     table = Table.of(f"rates-{name}", "The norm at each rate, and its change relative to continuous time.", fields, one.rates)
-    missing = by_text((f"{1e3 * at.period:g} ms", re.split("[:;]", at.undesigned)[0]) for at in one.rates if at.undesigned)
+    missing = by_text(
+        (f"{1e3 * at.period:g} ms", re.split("[:;]", at.design_failure)[0]) for at in one.rates if at.design_failure
+    )
     return Document(title, (table, *notes(*(f"no design at {rates}: {why}" for why, rates in missing.items()))), detail)
 
 
@@ -114,7 +120,11 @@ def failures(one: Cost) -> list[str]:
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
         for at in one.rates
-        for norm, how in ((at.undelayed_norm, "at once"), (at.late, delay_text(one.delay)), (at.designed, "designed for it"))
+        for norm, how in (
+            (at.undelayed_norm, "at once"),
+            (at.delayed_norm, delay_text(one.delay)),
+            (at.designed_norm, "designed for it"),
+        )
         for text in norm_failures(norm)
     ]
 
@@ -132,7 +142,7 @@ AT_RATE = Record[tuple[Cost, AtRate]](
         f"{key}_norm": lambda of, kind=kind: _norm(of[0], kind(of[1]))
         for key, kind in zip(("sampled", "late", "designed"), KINDS.values(), strict=True)
     },
-    not_designed=lambda of: of[1].undesigned or None,
+    not_designed=lambda of: of[1].design_failure or None,
 )
 RECORD = Record[Cost](
     name="controller.name",
@@ -183,7 +193,9 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
         curves.append(Curve(*_norms(marked, KINDS[kind]), "", color, "none", "o", name=f"{name}, requested"))
         if ends[0] <= 1e3 * lost <= ends[1]:
             curves.append(Curve(np.full(2, 1e3 * lost), np.array([0.0, 1e6]), "", color, "dot", width=0.8))
-    designs = np.array([(1e3 * at.period, at.designed.value) for at in marked if at.designed is not None and at.designed.stable])
+    designs = np.array(
+        [(1e3 * at.period, at.designed_norm.value) for at in marked if at.designed_norm is not None and at.designed_norm.stable]
+    )
     if len(designs):
         curves.append(Curve(designs[:, 0], designs[:, 1], "designed for the rate", DESIGNED_COLOUR, "none", "+"))
     if math.isfinite(one.ideal):
@@ -212,7 +224,7 @@ def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
 
 def _shown_range(one: Cost) -> tuple[float, float]:
     """The range that is shown."""
-    norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.late) if norm.stable]
+    norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.delayed_norm) if norm.stable]
     known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]
     if not norms:
         return (0.0, max(known, default=1.0))

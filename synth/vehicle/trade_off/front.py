@@ -127,7 +127,7 @@ def front(
     unproved = 0
     for each in kept:
         law = static_law(trace.gain(each))
-        certificate = certify_tightly(*plant_problem.closed_loop(law), below, by_itself=plant_problem.plant)
+        certificate = certify_tightly(*plant_problem.closed_loop(law), below, plant_without_law=plant_problem.plant)
         norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
         promises = () if goals is None else Verification(vehicle, entry, goals, asked, law.D).promises()
         controller = Controller.of(entry, law, certificate, specifications=promises)
@@ -185,7 +185,7 @@ def marked_indices(count: int) -> list[int]:
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
     """Returns the continuation that searches the designs."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
-    plant_problem, starts = problem.members[0].posed[0], []
+    plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one

@@ -169,7 +169,7 @@ class WeightedRms(RootMeanSquare, Acceleration):
         totals.add(squares(weighted))
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        return random.rms(random.weighted(self.source))
+        return random.rms(random.weighted_signal(self.source))
 
 
 class VibrationDose(Acceleration):
@@ -185,7 +185,7 @@ class VibrationDose(Acceleration):
         return (totals.sum / meter.samples * meter.duration) ** 0.25
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        return (random.window * random.weighted(self.source).mean_fourth_power) ** 0.25, None
+        return (random.window * random.weighted_signal(self.source).mean_fourth_power) ** 0.25, None
 
 
 class TransientVibration(Acceleration):
@@ -200,7 +200,7 @@ class TransientVibration(Acceleration):
         return np.sqrt(totals.largest)
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        return random.weighted(self.source).largest_running(random.window, RUNNING_TIME_CONSTANT), None
+        return random.weighted_signal(self.source).largest_running(random.window, RUNNING_TIME_CONSTANT), None
 
 
 class Crest(Acceleration):
@@ -218,7 +218,7 @@ class Crest(Acceleration):
         return np.where(still, 0.0, totals.largest / np.where(still, 1.0, rms))
 
     def expected(self, random: "RandomSignals") -> Expectation:
-        return random.weighted(self.source).largest(random.window), None
+        return random.weighted_signal(self.source).largest(random.window), None
 
 
 class Travel(Metric):

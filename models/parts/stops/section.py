@@ -1,4 +1,4 @@
-"""Keys of bump stops in `[limits]` and in sections of corners; what they mean is in `models.characteristics.stops`."""
+"""Keys of bump stops in `[limits]` and in sections of corners; what they mean is in `models.parts.stops.stop`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -7,7 +7,6 @@ designs are those of the linearisation at equilibrium, whose response is `linear
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +21,6 @@ from sim.linear.sampled_response import continuous_response, sampled_response, t
 from synth.controller.controller import AnyController, is_linear
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.loop import Loop
-
-if TYPE_CHECKING:
-    from sim.runs.code_effect import CodeEffect
-
 
 LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characteristics"
 
@@ -42,7 +37,6 @@ class Prediction:
         input: the vehicle, with the limits and implementation of this run, and its road.
         controller: controller of the run.
         requested_force: commands of a law in Python, see `sim.drive.actuators`, shape (T, m) or (T, 2 m); empty for others.
-        code_effect: measured difference of exported code from the law, or None without such code.
         replayed: True if the law in Python is not run, and its commands come from a log.
         most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
     """
@@ -50,7 +44,6 @@ class Prediction:
     input: RoadInput
     controller: AnyController
     requested_force: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    code_effect: "CodeEffect | None" = None
     replayed: bool = False
     most_states: float = math.inf
 

@@ -8,7 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
-from models.roads.load import Load
+from models.roads.loads.load import Load
 from models.roads.road import DerivedRoad, Road
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle

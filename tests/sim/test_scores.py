@@ -6,7 +6,8 @@ import numpy as np
 
 from models.vehicle.vehicle import read_vehicle
 from sim import bump
-from sim.studies.ride.standing import FIELDS, KEYS, Score, best, compared_table, score_of, standing_lines
+from sim.studies.ride.score_table import compared_table, score_lines
+from sim.studies.ride.scores import FIELDS, KEYS, Score, best, score_of
 from tests.support.commands import answer
 
 RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs", "--duration", "1"]
@@ -19,8 +20,8 @@ def test_passive_comes_first(capsys):
     result = answer(capsys, bump.main, *RUN)
     compared = result["compared"]["controllers"]
     assert [one["controller"] for one in compared] == ["passive", "I", "II_printed"]
-    standings = [Score(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
-    assert best(standings) == result["compared"]["best"]
+    scores = [Score(one["controller"], {key: one[key] for key in KEYS}) for one in compared]
+    assert best(scores) == result["compared"]["best"]
     for one, run in zip(compared[1:], result["runs"], strict=True):
         assert one["peak_travel"] == run["signals"]["suspension_deflection"]["peak"]["mujoco"]
     assert printed.splitlines()[-2].startswith("I, II_printed: MuJoCo agrees with the model; ")
@@ -34,8 +35,8 @@ def test_a_table():
         "a_longer_name": (None,) * 7,
         "II": (0.4101, 0.0735, 0.36, 0.0, 99.97, 629.1, 0.0),
     }
-    standings = [Score(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
-    assert standing_lines(standings, "MuJoCo, from 6 s on") == [
+    scores = [Score(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
+    assert score_lines(scores, "MuJoCo, from 6 s on") == [
         "                             peak     dynamic    off the force, force,    at",
         "                  ride     travel        load     ground    rms   peak stops",
         "  controller    [m/s²]   %   [mm]   %     [-]  %     [%]    [N]    [N]   [%]",
@@ -77,8 +78,8 @@ def test_the_best_is_best():
 
 def test_no_force_is_no_merit():
     """The passive suspension is not the best of the forces, of which it has none, but may be the best of all else."""
-    standings = [Score("passive", dict.fromkeys(KEYS, 0.0)), *(Score(f"c{i}", dict.fromkeys(KEYS, i)) for i in (1.0, 2.0))]
-    found = best(standings)
+    scores = [Score("passive", dict.fromkeys(KEYS, 0.0)), *(Score(f"c{i}", dict.fromkeys(KEYS, i)) for i in (1.0, 2.0))]
+    found = best(scores)
     assert {key for key in KEYS if found[key] == ["c1.0"]} == {"force_rms", "force_peak"}
     assert found["ride"] == ["passive"]
 

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.characteristics import SIDES, STOP_KEYS, STOP_NAMES
-from models.characteristics.stop_section import MOST, StopPair, StopSection
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, read
+from models.parts.stops.section import MOST, StopPair, StopSection
 
 if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve

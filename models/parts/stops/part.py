@@ -1,6 +1,6 @@
 """Bump stops of a suspension: `[limits] suspension_stroke` and `stop_stiffness`.
 
-A stop begins at the end of its stroke and pushes back, see `models.characteristics.stops`. MuJoCo's springs have a dead band and
+A stop begins at the end of its stroke and pushes back, see `models.parts.stops.stop`. MuJoCo's springs have a dead band and
 a polynomial, so that a stop without a table is one of these.
 """
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from models.characteristics import SIDES
-from models.characteristics.stops import SLACK, Stop, StopTable, pair_words
 from models.common.arrays import Array
 from models.kinds.kind import Suspension
 from models.parts.native import Tendon
 from models.parts.part import BUMP_STOP, Limit, Part
+from models.parts.stops.stop import SLACK, Stop, StopTable, pair_words
 
 
 @dataclass(frozen=True)

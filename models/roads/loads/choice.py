@@ -12,7 +12,7 @@ from models.common.files import path_from, reading
 from models.common.schema import read_text
 from models.common.table import find_table
 from models.kinds.kind import Parameters, VehicleKind
-from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
+from models.roads.loads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 

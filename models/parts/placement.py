@@ -1,6 +1,5 @@
-"""All parts that a vehicle file can have, and those of a vehicle."""
+"""Parts of a vehicle, placed at the wheels of its suspensions."""
 
-from functools import cache
 from typing import Any
 
 from models.common.extensions import PARTS
@@ -8,17 +7,11 @@ from models.parts.part import Part, Parts, SuspensionPart
 from models.parts.ratio import AtRatio, Constant
 
 
-@cache
-def part_class(name: str) -> Any:
-    """Returns the class of a part."""
-    return PARTS.load(name)
-
-
 def parts_of(vehicle: Any) -> Parts:
     """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
-    placed, kind = list[SuspensionPart](), vehicle.kind
+    placed, kind, classes = list[SuspensionPart](), vehicle.kind, PARTS.load_all().values()
     for place in kind.suspensions:
-        rows = [(part, parameter, "") for name in PARTS for part, parameter in part_class(name).of(vehicle, place)]
+        rows = [(part, parameter, "") for one in classes for part, parameter in one.of(vehicle, place)]
         rows += [(_element(vehicle, place, one), "", one.name) for one in vehicle.elements if place.corner in one.corners]
         ratio = place.motion_ratio(vehicle.parameters)
         for part, parameter, name in rows:

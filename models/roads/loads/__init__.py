@@ -1,0 +1,1 @@
+"""Loads on the body: their kinds, their texts and files, and roads with loads."""

@@ -1,0 +1,124 @@
+"""`[performance]` of a vehicle file: the rows of the controlled output z (34), each a weighted signal or sum of signals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, ClassVar
+
+from models.common.checks import is_finite
+from models.common.errors import InputError, list_names, short_repr
+from models.common.schema import HERE, SI, ReadBy, read
+from models.kinds.kind import is_number
+from models.laws.filter import Filter, FilterSection
+
+ROAD = "road"  # the filter from the disturbance w to the road's velocity
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+
+
+@dataclass(frozen=True)
+class WeightedSum:
+    """Row of z: a weight times a sum of signals, through a filter.
+
+    Attributes:
+        name: name of the sum, or of its only signal.
+        weight: weight of the sum, above 0.
+        terms: factor of each signal.
+        filter: filter from the weighted sum to z; None for no filter.
+    """
+
+    public_name = "a weighted sum, such as one of vehicle.sums"
+
+    name: str
+    weight: float
+    terms: Mapping[str, float]
+    filter: Filter | None = None
+
+    @property
+    def text(self) -> str:
+        """The sum in words."""
+        return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
+
+
+class Weight(SI):
+    """0, or a number in the range of weights."""
+
+    def number(self, what: str, value: Any) -> float:
+        """Returns the weight; `what` names it in the message."""
+        least = 0.0 if is_finite(value) and value == 0 else SMALLEST_WEIGHT
+        more = ', or 0, or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+        return SI(self.unit, "", least, self.high, more).number(what, value)
+
+
+FACTORS = "factors of the signals in a weighted sum"
+WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal", 0.0, LARGEST_WEIGHT)
+
+
+def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
+    """Returns the factors of signals in a sum. The context has `outputs`, the names of the signals."""
+    outputs = context["outputs"]
+    if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
+        raise InputError(
+            f"{HERE} = {short_repr(value)} is not allowed; give signals with factors other than 0, as in sum = "
+            f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
+        )
+    if unknown := [signal for signal in value if signal not in outputs]:
+        raise InputError(f"{HERE} has the unknown signal {unknown[0]!r}; the signals are {list_names(outputs)}")
+    return {signal: float(one) for signal, one in value.items()}
+
+
+@dataclass(frozen=True)
+class WeightSection(FilterSection):
+    """A signal or a sum of signals in `[performance]`. A number is its weight."""
+
+    integrates: ClassVar[bool] = True
+
+    weight: Annotated[float, WEIGHT] = 1.0
+    sum: Annotated[Mapping[str, float], ReadBy(FACTORS, _terms, allowed={"type": "object"})] | None = None
+
+    @cached_property
+    def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The filter; None for a sum of constant weight."""
+        unshaped = self.filter is self.numerator is self.denominator is None
+        return None if unshaped and self.sum is not None else super().shape
+
+
+def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
+    """Returns the attributes `performance`, `filters`, `sums` and `road_filter` of a `Vehicle`, from `[performance]`.
+
+    Args:
+        outputs: the signals that can be weighted.
+
+    Raises:
+        InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
+    """
+    weights, filters, sums, road_filter = dict[str, float](), dict[str, Filter](), list[WeightedSum](), None
+    for name, given in section.items():
+        where = f"[performance] {name}"
+        if name == ROAD:
+            road_filter = read(where, FilterSection, given).shape
+            continue
+        if not isinstance(given, Mapping):
+            weights[name] = WEIGHT.number(where, given)
+            continue
+        one = read(where, WeightSection, given, outputs=outputs)
+        if one.sum is None:
+            weights[name] = one.weight
+            filters |= {name: one.shape} if one.shape is not None and one.weight else {}
+        elif name in outputs:
+            raise InputError(f"{where} is the name of a signal; give the sum another name")
+        elif one.weight:
+            sums.append(WeightedSum(name, one.weight, one.sum, one.shape))
+    check_weights(weights, sums, outputs)
+    return {"performance": weights, "filters": filters, "sums": tuple(sums), "road_filter": road_filter}
+
+
+def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], outputs: Sequence[str]) -> None:
+    """Raises an InputError if a weighted signal is unknown, or no weight is above 0."""
+    for name in weights:
+        if name not in outputs:
+            raise InputError(
+                f"[performance] unknown signal {name!r}; give one of {list_names(outputs)}, or {ROAD!r} for a filter of the "
+                "road, or a new name for a sum of signals"
+            )
+    if not any(weights.values()) and not sums:
+        raise InputError(f"[performance] has no weight above 0; give a weight to at least one of {list_names(outputs)}")

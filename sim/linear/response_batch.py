@@ -1,0 +1,94 @@
+"""Exact linear responses of N runs of linear laws side by side, block by block, sampled as in `sim.linear.sampled_response`.
+
+With the state xi before the road jumps, and inputs v, xi' = A xi + sum of B v and y = C xi + sum of D v. Sums run over states one
+by one, which takes half the time of a product of small matrices.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
+from models.vehicle.vehicle import Vehicle
+from sim.drive.case import Batch
+from sim.drive.driver import RunDriver
+from sim.linear.outputs import forces_ahead
+from synth.controller.loop_of import HEIGHT, HELD, MIDWAY, READ, SIGNAL, loop_of, pushes, with_ending
+from synth.plant.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from synth.controller.controller import Controller
+
+
+class ResponseBatch:
+    """Responses of the runs of a batch.
+
+    Attributes:
+        outputs: names of the outputs of the linear model.
+        index: place of each output among the signals of the vehicle.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        vehicle, self._batch, timestep = batch.vehicles[0], batch, batch.timestep
+        self.outputs, road, held = vehicle.linear_model.outputs, vehicle.linear_model.disturbances, pushes(vehicle.linear_model)
+        groups = [(batch.now, with_ending(road, HEIGHT)), (batch.midway, with_ending(road, MIDWAY))]
+        if batch.held_inputs is not None:
+            effects = {HELD: "held_inputs", SIGNAL: "in_signals", READ: "in_readings"}
+            for ending, values in effects.items():
+                groups.append((np.stack([getattr(one, values) for one in batch.inputs], axis=1), with_ending(held, ending)))
+        if any(one.preview is not None for one in batch.drivers):
+            ahead = np.zeros((len(batch.now), len(batch.cases), len(vehicle.linear_model.inputs)))
+            for i, (one, on) in enumerate(zip(batch.drivers, batch.inputs, strict=True)):
+                if one.preview is not None:
+                    ahead[:, i] = forces_ahead(one.preview, on, steps_per_sample(on.vehicle.implementation, timestep))
+            groups.append((ahead, vehicle.linear_model.inputs))
+        keys = [(id(one.vehicle), id(one.driver)) for one in batch.cases]
+        distinct = dict(zip(keys, batch.cases, strict=True))
+        loops = {key: _closed_loop(one.vehicle, one.driver, timestep) for key, one in distinct.items()}
+        systems = [loops[key].part(self.outputs, loops[key].inputs) for key in keys]
+        # By entry of the matrices, runs last: shapes (n, n, N) and (p, n, N); of each input (T, N, r), (n, r, N) and (p, r, N).
+        self._A, self._C, B, D = (np.stack([getattr(one, name) for one in systems], axis=-1) for name in "ACBD")
+        columns = [systems[0].columns(names) for _, names in groups]
+        self._inputs = [(values, B[:, some], D[:, some]) for (values, _), some in zip(groups, columns, strict=True)]
+        signals = [signal.name for signal in vehicle.kind.signals]
+        self.index = [signals.index(name) for name in self.outputs]
+        self._xi = np.zeros((self._A.shape[0], len(systems)))
+        for i, one in enumerate(batch.vehicles):
+            if (start := one.start_state) is not None:
+                self._xi[: len(start), i] = start
+
+    def block(self, samples: slice) -> Callable[[int], Array]:
+        """Returns what gives each output, by its number, over the next samples of all runs, shape (B, N)."""
+        inputs = [(np.moveaxis(one[samples], 1, 2), B, D) for one, B, D in self._inputs]
+        push = np.stack([sum(_row(B[i], one) for one, B, _ in inputs) for i in range(len(self._xi))], axis=1)
+        states, products, moving = np.empty_like(push), np.empty_like(self._A), list(self._batch.steady(samples))
+        for k in range(len(push)):
+            states[k] = self._xi
+            np.multiply(self._A, self._xi, out=products)
+            np.add.reduce(products, axis=1, out=self._xi)
+            self._xi += push[k]
+
+        def output(i: int) -> Array:
+            values = _row(self._C[i], states) + sum(_row(D[i], one) for one, _, D in inputs)
+            for run, steady in moving:
+                values[:, run] += steady[:, self.index[i]]
+            return values
+
+        return output
+
+
+def _closed_loop(vehicle: Vehicle, driver: RunDriver, timestep: float) -> StateSpace:
+    """Returns the closed loop from step to step, of a law that acts at once or not at all."""
+    law = cast("Controller", driver)  # it is linear
+    return loop_of(replace(vehicle, implementation=Implementation()), law, timestep).closed_loop
+
+
+def _row(row: Array, inputs: Array) -> Array:
+    """Returns the product of a row of such a matrix, shape (r, N), and inputs (B, r, N), shape (B, N)."""
+    total = np.zeros((len(inputs), row.shape[1]))
+    for j in np.flatnonzero(row.any(axis=1)):
+        total += row[j] * inputs[:, j]
+    return total

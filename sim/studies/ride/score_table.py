@@ -1,0 +1,144 @@
+"""Comparison of controllers as a table, a row each, with the change from passive, the best marked; as text and for `--json`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from models.characteristics import SIDES
+from models.common.printed import GAP, wrap_text
+from models.document.document import Table
+from models.document.field import Field, Record, if_any
+from models.document.text import BEST, CHANGE, names_text, table_lines
+from models.vehicle.names import PASSIVE
+from sim.studies.ride.scores import COLUMNS, FIELDS, FORCES, Score, best, score_field
+
+STROKE = Field[float]("stroke", float, ".4g", 1e3, unit="mm")
+USED_TRAVEL = Field[tuple[float, float]]("used", lambda side: side[0], ".1f", 1e3, unit="mm")
+SHARE_USED = Field[tuple[float, float]]("used", lambda side: side[0] / side[1], ".0f", 100.0, unit="%")
+CHANGES = {one: change for one in FIELDS if (change := COLUMNS[one.key].change)}  # of which the change from passive is shown
+MANY = 4  # names in a sentence
+MOST_POINTS = 2  # columns of ride at other points than those with a person
+
+
+def headline(scores: Sequence[Score]) -> str:
+    """Returns in a line who is best at ride and at road holding."""
+    marked = best(scores)
+    praised = [(COLUMNS[key].praise, names) for key, names in marked.items() if COLUMNS[key].praise[0] and names]
+    said: dict[tuple[str, ...], list[str]] = {}
+    for (verb, what), names in praised:
+        said.setdefault(tuple(names), []).append(f"{verb}{'s' * (len(names) == 1)}{what}")
+    texts = [f"{some_names(names)} {' and '.join(verbs)} best" for names, verbs in said.items()]
+    return ", ".join(texts) or "All controllers have the same values"
+
+
+def some_names(names: Sequence[str]) -> str:
+    """Returns names of controllers in a sentence, or their number if they are many."""
+    return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
+
+
+ROW = Record[Score](
+    Record(
+        controller=lambda one: one.controller, vehicle=if_any(lambda one: one.vehicle), without=if_any(lambda one: one.without)
+    ),
+    *FIELDS,
+    lambda one: {key: value for key, value in one.values.items() if key not in COLUMNS},
+    strokes=if_any(lambda one: {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}),
+)
+
+
+def scores_record(scores: Sequence[Score]) -> dict[str, Any]:
+    """Returns the table as a JSON object, in SI units, with the best of each column."""
+    return {"controllers": [ROW(one) for one in scores], "best": best(scores)}
+
+
+def compared_table(scores: Sequence[Score], about: str, more: Sequence[Field[Score]] = ()) -> Table:
+    """Returns the comparison of controllers; changes are from passive of the same vehicle.
+
+    Args:
+        about: the measurement in words.
+        more: further columns.
+    """
+    passive = {one.vehicle: one for one in scores if one.controller == PASSIVE and not one.without and len(scores) > 1}
+    marked, several = best(scores), any(one.vehicle for one in scores)
+    columns = [Field[Score]("vehicle", lambda one: one.vehicle)] if several else []
+    columns.append(Field("controller", lambda one: one.name))
+    there = [one for one in FIELDS if {one.value(each) for each in scores} - {None, *([0.0] if one in FORCES else [])}]
+    strokes = ""
+    for quantity in there:
+        first, *others = _at_points(quantity, scores)
+        shown = [first]
+        if COLUMNS[quantity.key].by_side:
+            shown, strokes = _travel(quantity, scores)
+        columns += [_mark_best(one, marked[quantity.key]) for one in shown]
+        if quantity in CHANGES and passive:
+            columns.append(_change(quantity, passive))
+        columns += others
+    unsound = ", ".join(one.label for one in scores if not one.sound)
+    star = f"*: best{f' without {unsound}' if unsound else ''}" if any(marked.values()) else ""
+    legend = "; ".join(filter(None, [star, "%: change from passive" if passive and there else ""]))
+    caption = f"Worst point of the vehicle in {about}{strokes}.{f' {legend}.' if legend else ''}"
+    if not there:
+        caption = "No controller can be compared, because each has a run that broke off."
+    return Table.of("compared", caption, (*columns, *more), scores, words=1 + several)
+
+
+def score_lines(scores: Sequence[Score], about: str) -> list[str]:
+    """Returns the comparison for a terminal, with its caption below."""
+    one = compared_table(scores, about)
+    return [*(table_lines(one) if len(one.headings) > one.words else []), *wrap_text(one.caption, GAP, len(GAP))]
+
+
+def _mark_best(quantity: Field[Score], names: Sequence[str]) -> Field[Score]:
+    """Returns the column of a quantity in which those of these names have a mark."""
+    return replace(quantity, value=lambda one: f"{quantity.cell(one)}{BEST if one.label in names else ''}")
+
+
+def _change(quantity: Field[Score], passive: Mapping[str, Score]) -> Field[Score]:
+    """Returns the column of changes from passive of the same vehicle, "-" for a missing, zero or equal number."""
+
+    def change(one: Score) -> str | None:
+        value, usual = quantity.value(one), quantity.value(passive[one.vehicle])
+        if not usual or value is None or value == usual:
+            return None
+        share = round(100 * (value / usual - 1))
+        return f"{share:+d}" if share else "0"
+
+    return Field(f"{CHANGES[quantity]}{CHANGE}", change, column=f"{CHANGES[quantity]}, %")
+
+
+def _at_points(quantity: Field[Score], scores: Sequence[Score]) -> list[Field[Score]]:
+    """Returns the columns of a quantity: that of the vehicle, then of other points of vehicles with a person.
+
+    If there are more than `MOST_POINTS` other points, their column has the largest value.
+    """
+    begin = f"{quantity.key}_"
+    points = dict.fromkeys(key for one in scores for key in one.values if key not in COLUMNS and key.startswith(begin))
+    same = [key for key in points if all(one.values.get(key) == quantity.value(one) for one in scores)]
+    names = {key: key.removeprefix(begin).replace("_acceleration", "").replace("_", " ") for key in points}
+    labels = {key: f"{quantity.label}, {name}" for key, name in names.items()}
+    first = replace(quantity, label=labels[same[0]] if same else quantity.label)
+    others = [key for key in points if key not in same]
+    if len(others) <= MOST_POINTS:
+        return [first, *(score_field(key, labels[key], quantity.unit, quantity.scale) for key in others)]
+    label = f"{quantity.label}, body"
+    return [first, replace(quantity, label=label, value=lambda one: max(one.values.get(key) or 0.0 for key in others) or None)]
+
+
+def _travel(quantity: Field[Score], scores: Sequence[Score]) -> tuple[list[Field[Score]], str]:
+    """Returns the columns of travel, and the strokes for the caption: a column for each side if every run has strokes.
+
+    A side is in mm if all runs have the same strokes, else in per cent of its stroke.
+    """
+    whole = [one for one in scores if quantity.value(one) is not None]
+    sides = [side for side in SIDES if any(side in one.strokes for one in whole)]
+    if not all(one.strokes for one in whole) or not sides:
+        return [quantity], ""
+    strokes = {side: {one.strokes[side][1] if side in one.strokes else None for one in whole} for side in sides}
+    alike = all(len(some) == 1 for some in strokes.values())
+    of = ", ".join(f"{STROKE.text(next(iter(some)))} in {side}" for side, some in strokes.items())
+    used, label = (USED_TRAVEL, "{} travel") if alike else (SHARE_USED, "{} used")
+
+    def of_side(side: str) -> Field[Score]:
+        return used.of(lambda one: one.strokes.get(side), label.format(side))
+
+    return [of_side(side) for side in sides], f"; stroke {of}" if alike else "; used: of the stroke"

@@ -1,0 +1,172 @@
+"""Scores of controllers in a comparison: ride, travel, tyre load and force, and the best of each.
+
+For a vehicle with several wheels, suspensions or actuators, each value is that of the worst one.
+"""
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from models.characteristics import SIDES
+from models.common.arrays import Array
+from models.common.extensions import METRICS
+from models.common.printed import three_digits
+from models.document.field import Field
+from models.vehicle.names import PASSIVE, variant
+from models.vehicle.vehicle import Vehicle
+from sim.drive.regime import FLAT, REGIME_ENDS, end_times
+from sim.drive.response import Response
+from sim.studies.ride.metrics import compared_metrics, measure, metrics_of, over_runs
+
+if TYPE_CHECKING:
+    from sim.runs.run import Run
+    from sim.studies.ride.run_metrics import RunMetrics
+
+
+@dataclass(frozen=True)
+class Score:
+    """A row of the comparison: a controller's metrics on a road, in MuJoCo.
+
+    Attributes:
+        controller: name of the controller.
+        values: values by key of `FIELDS`, in SI units; None if the vehicle lacks it or the run broke off.
+        sound: False for a law that is unstable by itself or winds up; it is never called the best.
+        vehicle: the name of its vehicle, for rows of several; empty if there is one.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty for the implemented loop.
+        strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
+            A side without a stop is left out; empty without strokes or a run.
+    """
+
+    controller: str
+    values: Mapping[str, float | None]
+    sound: bool = True
+    vehicle: str = ""
+    without: str = ""
+    strokes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The controller, and what its run leaves out."""
+        return f"{self.controller}{variant(self.without)}"
+
+    @property
+    def label(self) -> str:
+        """The vehicle, if there are several, and the name."""
+        return f"{self.vehicle}:{self.name}".removeprefix(":")
+
+
+def score_field(key: str, label: str, unit: str = "", scale: float = 1.0) -> Field[Score]:
+    """Returns the field of a value."""
+    return Field(label, lambda one: one.values.get(key), three_digits, scale, key, unit)
+
+
+COLUMNS = {name: one.column for name, one in METRICS.load_all().items() if one.column}
+FIELDS = tuple(score_field(name, one.label, one.unit, one.scale) for name, one in COLUMNS.items())
+FORCES = tuple(one for one in FIELDS if METRICS.load(one.key).effort)  # passive has none
+KEYS = tuple(one.key for one in FIELDS)
+
+
+def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
+    """Returns `Score.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
+    used: dict[str, tuple[float, float]] = {}
+    for name, strokes in vehicle.parts.strokes.items():
+        for side, stroke in strokes.items():
+            sign = -1.0 if side == SIDES[0] else 1.0
+            most = max(0.0, float((sign * response[name][first:end]).max())), stroke
+            used[side] = max(used.get(side, most), most, key=lambda one: one[0] / one[1])
+    return used
+
+
+def without_unsound(scores: Iterable[Score], unsound: Collection[str]) -> list[Score]:
+    """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
+    return [replace(one, sound=False) if one.controller in unsound else one for one in scores]
+
+
+def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
+    """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics.
+
+    A vehicle with a person has the key `ride_...` of every point, too, those with a person first; `ride` is that of persons.
+    """
+    columns: dict[str, tuple[str, ...]] = {}
+    for key, metrics in compared_metrics(vehicle).items():
+        if key in COLUMNS:
+            kind = METRICS.load(key)
+            columns[key] = tuple(one.name for one in metrics)
+            columns |= {f"{key}_{source}": (kind(source).name,) for source in kind.shown_apart(vehicle)}
+    return columns
+
+
+def score_of(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Score:
+    """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
+    values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
+    largest = {
+        key: max((one for one in some if one is not None and math.isfinite(one)), default=None) for key, some in values.items()
+    }
+    return Score(controller, largest)
+
+
+def score_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array], distances: Array | None = None) -> Score:
+    """Returns a controller's row over several runs; each metric is an array with a number for every run.
+
+    Numbers are those of `over_runs`, with its distances. Those are None that a run lacks.
+    """
+    names = {name for some in columns_of(vehicle).values() for name in some}
+    over = {one.name: over_runs(one, metrics[one.name], distances) for one in metrics_of(vehicle) if one.name in names}
+    return score_of(vehicle, controller, over)
+
+
+def best(scores: Iterable[Score]) -> dict[str, list[str]]:
+    """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
+
+    Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
+    """
+    names: dict[str, list[str]] = {}
+    sound = [one for one in scores if one.sound]
+    for quantity in FIELDS:
+        compared = [one for one in sound if quantity not in FORCES or one.controller != PASSIVE]
+        values = {one.label: value for one in compared if (value := quantity.value(one)) is not None}
+        shown = {name: quantity.digits(value) for name, value in values.items()}
+        least = shown[min(values, key=values.__getitem__)] if values else ""
+        names[quantity.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
+    return names
+
+
+def scores_of_runs(
+    runs: "Sequence[Run]",
+    passive: Response,
+    samples: tuple[int, int | None] = (0, None),
+    measured: "Sequence[RunMetrics]" = (),
+    without: Sequence[str] = (),
+    title: str = "",
+) -> list[Score]:
+    """Returns the score of every controller, passive first, and each run without a part after the implemented loop.
+
+    Args:
+        samples: first measured sample, and the one after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, if known.
+        without: part of the vehicle that each run omits; empty if no run omits a part.
+        title: title of the vehicle, among several.
+    """
+    road, (first, end) = runs[0].road, samples
+    known: dict[int, Mapping[str, float | None]] = {
+        id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
+        for run, of_run in zip(runs, measured, strict=False)
+    }
+    rows = [(PASSIVE, "", runs[0].vehicle, passive)]
+    parts = without or [""] * len(runs)
+    rows += [
+        (run.controller.name, part, run.vehicle, run.physics)
+        for run, part in zip(runs, parts, strict=True)
+        if run.physics is not passive
+    ]
+    order, scores = [name for name, *_ in rows], []
+    for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
+        values = known.get(id(response))
+        if values is None:
+            broken = math.isfinite(response.diverged) or math.isfinite(end_times(vehicle, response)[REGIME_ENDS.index(FLAT)])
+            values = {} if broken else measure(vehicle, response, first, road.loaded, end, speed=road.speed)
+        one = score_of(vehicle, name, values)
+        strokes = {} if set(one.values.values()) == {None} else strokes_used(runs[0].vehicle, response, first, end)
+        scores.append(replace(one, vehicle=title, without=part, strokes=strokes))
+    return without_unsound(scores, [run.controller.name for run in runs if run.controller.growth])
