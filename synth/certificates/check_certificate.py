@@ -1,7 +1,7 @@
 """Checks an "LMI certificate 1" in exact rational arithmetic: python check_certificate.py FILE.json
 Exit code 0: every claim is proved. 1: a claim is not proved. 2: the file is not a certificate, or a claim is not exact.
 """
-# fmt: off - it fits on three pages
+
 import json
 import re
 import sys
@@ -29,8 +29,7 @@ class Matrix:
     def __mul__(self, k):
         return Matrix([k * x for x in row] for row in self.rows)
     def __matmul__(self, other):
-        columns = other.T.rows
-        return Matrix([sum(x * y for x, y in zip(row, c, strict=True) if x and y) for c in columns] for row in self.rows)
+        return Matrix([sum(x * y for x, y in zip(row, c, strict=True) if x and y) for c in other.T.rows] for row in self.rows)
 
     def positive(self, semidefinite=False):
         """Returns True if M = M' is positive (semi)definite: the pivots of Bareiss's elimination are its leading minors."""
@@ -48,8 +47,7 @@ def read(value):
     """Returns the number in a string, such as "-3", "0.25" or "22/7", or a matrix of such strings."""
     if isinstance(value, list):
         return Matrix(map(read, row) for row in value)
-    (text,) = NUMBER.findall(value)
-    return Fraction(text)
+    return Fraction("".join(NUMBER.findall(value)))  # of "", which is refused, if it is no number
 
 def diagonal(entries):
     """Returns a diagonal matrix."""
@@ -78,6 +76,7 @@ class Loop:
         A, rate = self.E.T @ self.S, Fraction(self.p["sampled"]) if rate is None else rate
         A = A * (1 / rate) if self.p["sampled"] else A + self.I * rate
         return rate >= 0 and X.positive() and (self.moved(A, X, self.I) * -1).positive()
+
     stability = decay
 
     def norm(self, X, bound):

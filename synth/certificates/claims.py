@@ -20,7 +20,7 @@ from synth.analysis.rigorous import definiteness
 from synth.analysis.stability import balance, stability
 from synth.analysis.uncertainty_box import BoxProof
 from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.numbers import decimal, exact, floats, rational, rows, shortened
+from synth.certificates.rational import decimal, exact, floats, rational, rows, shortened
 from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
@@ -87,7 +87,9 @@ def decay_claim(loop: Loop, dt: float | None = None, rate: float | None = None) 
         A = plain.A + each * np.eye(len(plain.A)) if dt is None else plain.A / each
         balanced, scale = balance(A)
         noise = np.eye(len(A)) * np.linalg.norm(balanced)
-        solved = linalg.solve_continuous_lyapunov(balanced, -noise) if dt is None else linalg.solve_discrete_lyapunov(balanced, noise)
+        solved = (
+            linalg.solve_continuous_lyapunov(balanced, -noise) if dt is None else linalg.solve_discrete_lyapunov(balanced, noise)
+        )
         X = scale[:, None] * (solved + solved.T) / 2 * scale
         for short in shortened(X) if np.all(np.diagonal(X) > 0) else ():
             if definiteness(short).proved and loop.decay(exact(short), decimal(each)):

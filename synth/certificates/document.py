@@ -19,7 +19,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.certificates.check_certificate import SHAPES, SIGNALS, Loop
 from synth.certificates.claims import Claim, decay_claim, norm_claim
 from synth.certificates.duals import lower_bound_claim
-from synth.certificates.numbers import decimal, exact_loop, rational, rows
+from synth.certificates.rational import decimal, exact_loop, rational, rows
 from synth.plant.generalized import Plant, law_gain
 
 FORMAT = "LMI certificate 1"
@@ -99,7 +99,11 @@ class Document:
             return
         for claim in [claims] if isinstance(claims, dict) else claims:
             size = sum(len(self.plants[plant][key]) for key in ("states", "outputs"))
-            self.work += 2 ** sum(a != b for a, b in zip(*claim["low"], *claim["high"], strict=True)) * size**3 if "low" in claim else size**3
+            self.work += (
+                2 ** sum(a != b for a, b in zip(*claim["low"], *claim["high"], strict=True)) * size**3
+                if "low" in claim
+                else size**3
+            )
             self.claims.append({"kind": claim["kind"], "plant": plant, "proof": "exact", **claim})
 
     def leave_out(self, what: str, reason: str, proof: str = TWICE) -> None:

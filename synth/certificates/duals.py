@@ -10,7 +10,7 @@ from synth.analysis.lower_bound import DualCertificate, LowerBound, dual_factors
 from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.numbers import decimal, rational, rows
+from synth.certificates.rational import decimal, rational, rows
 from synth.plant.generalized import Plant
 
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))  # bits of a dual, and what V12 is shorter than the longest
