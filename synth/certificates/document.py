@@ -1,6 +1,6 @@
 """LMI certificates of any plant: the plant, the gain and their claims as JSON.
 
-A law with states, x_c' = A x_c + B y, u = C x_c + D y, is the gain [D, C; B, A] of the plant with its states: x_c' = v, and x_c is
+A law with states, x_c' = A x_c + B y, u = C x_c + D y, is the gain [D, C; B, A] of the plant with its states: x_c' = v, x_c is
 measured. A discrete law of a continuous plant is judged by its counterpart of Tustin's method, which is the same gain of another
 plant: with a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v, the transfer from v to x_c is (a - s) / (a + s), Tustin's 1 / z. So
 the file contains the numbers of the law itself in either case.
@@ -15,7 +15,6 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
 from synth.certificates.check_certificate import SHAPES, SIGNALS, Loop
 from synth.certificates.claims import Claim, decay_claim, norm_claim
 from synth.certificates.duals import lower_bound_claim

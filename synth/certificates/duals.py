@@ -1,4 +1,4 @@
-"""Proofs of lower bounds in rational numbers, from the certificates of `synth/analysis/lower_bound.py` and `invariant_point.py`."""
+"""Proofs of lower bounds in rational numbers, from those of `analysis/lower_bound.py` and `analysis/invariant_point.py`."""
 
 from fractions import Fraction
 
