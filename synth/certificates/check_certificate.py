@@ -1,4 +1,5 @@
 """Checks an "LMI certificate 1" in exact rational arithmetic: python check_certificate.py FILE.json
+
 Exit code 0: every claim is proved. 1: a claim is not proved. 2: the file is not a certificate, or a claim is not exact.
 """
 
@@ -19,7 +20,6 @@ class Matrix:
     """Rows of rational numbers; A | B has those of A above those of B."""
     T = property(lambda self: Matrix(zip(*self.rows, strict=True)))  # the transposed matrix
     square = property(lambda self: sum(x * x for row in self.rows for x in row))  # sum of the squares of all entries
-
     def __init__(self, rows):
         self.rows = [list(row) for row in rows]
     def __or__(self, other):

@@ -20,7 +20,7 @@ from synth.analysis.rigorous import definiteness
 from synth.analysis.stability import balance, stability
 from synth.analysis.uncertainty_box import BoxProof
 from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.rational import decimal, exact, floats, rational, rows, shortened
+from synth.certificates.rational import decimal, exact, floats, rational, rounded_down, rounded_up, rows, shortened
 from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
@@ -44,7 +44,7 @@ def norm_claim(loop: Loop, dt: float | None = None, bound: float | None = None, 
     if not stability(plain.A, dt).stable:
         return None
     norm = hinf_norm(plain).value
-    for level in (bound,) if bound is not None else [float(f"{norm * (1 + above):.9g}") for above in ABOVE]:
+    for level in (bound,) if bound is not None else [rounded_up(norm * (1 + above)) for above in ABOVE]:
         if not norm < level < np.inf:
             continue
         for X in _bounding(plain, level, norm, known):
@@ -83,7 +83,7 @@ def decay_claim(loop: Loop, dt: float | None = None, rate: float | None = None) 
     growth = float(stability(plain.A, dt).growth.max())
     slowest = -growth if dt is None else 1 + growth
     trials = [slowest * (1 - less) if dt is None else slowest + less * (1 - slowest) for less in SLOWER]
-    for each in (rate,) if rate is not None else [float(f"{trial:.4g}") for trial in trials]:
+    for each in (rate,) if rate is not None else [rounded_down(t, 4) if dt is None else rounded_up(t) for t in trials]:
         A = plain.A + each * np.eye(len(plain.A)) if dt is None else plain.A / each
         balanced, scale = balance(A)
         noise = np.eye(len(A)) * np.linalg.norm(balanced)

@@ -1,9 +1,9 @@
 """LMI certificates of any plant: the plant, the gain and their claims as JSON.
 
 A law with states, x_c' = A x_c + B y, u = C x_c + D y, is the gain [D, C; B, A] of the plant with its states: x_c' = v, x_c is
-measured. A discrete law of a continuous plant is judged by its counterpart of Tustin's method, which is the same gain of another
-plant: with a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v, the transfer from v to x_c is (a - s) / (a + s), Tustin's 1 / z. So
-the file contains the numbers of the law itself in either case.
+measured. A discrete law of a continuous plant is judged by its counterpart of Tustin's method, the same gain of another plant.
+With a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v, the transfer from v to x_c is (a - s) / (a + s), which is Tustin's 1 / z.
+So the file contains the numbers of the law itself in either case.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import digits
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.certificates.check_certificate import SHAPES, SIGNALS, Loop
@@ -24,6 +25,7 @@ from synth.plant.generalized import Plant, law_gain
 FORMAT = "LMI certificate 1"
 TWICE = "computed twice"
 LAW_STATE = "controller_state_"
+WEAKER = 1e-7  # relative: a lower bound that is weaker than the claimed one by more is listed
 WORK = 100_000  # multiplications of a check that take a second, in units of the cube of the rows of an inequality
 
 Signal = tuple[str, str]  # name and unit
@@ -115,15 +117,21 @@ class Document:
         Args:
             name: name of the plant.
             plant: plant with the states of the law.
-            loop: its loop.
+            loop: loop of the gain with this plant.
             certificate: the certificate.
             of: plant of the lower bound, which has the first states; None to leave that bound out.
         """
         proof, below = certificate.proof, certificate.below
-        self.add(name, "bound of the norm", norm_claim(loop, plant.dt, certificate.bound, None if proof is None else proof.X))
-        self.add(name, "decay", decay_claim(loop, plant.dt))
-        if below is not None and below.gamma and of is not None:
-            self.add(name, f"lower bound {below.gamma:.9g}", lower_bound_claim(of, loop, below))
+        if certificate.stable:
+            self.add(name, "bound of the norm", norm_claim(loop, plant.dt, certificate.bound, None if proof is None else proof.X))
+            self.add(name, "decay", decay_claim(loop, plant.dt))
+        else:
+            self.leave_out("stability", f"the loop is {certificate.stability.words}", "none")
+        if below is not None and below.gamma:
+            claim = lower_bound_claim(of, loop, below) if of is not None else "the plant of this bound has other states"
+            self.add(name, f"lower bound {digits(below.gamma)}", claim)
+            if isinstance(claim, dict) and float(claim["bound"]) < below.gamma * (1 - WEAKER):
+                self.leave_out(f"lower bound {digits(below.gamma)}", f"rational numbers prove {digits(float(claim['bound']))}", "none")
 
     def record(self, controller: str, about: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the certificate as JSON."""

@@ -10,13 +10,13 @@ from synth.analysis.lower_bound import DualCertificate, LowerBound, dual_factors
 from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.rational import decimal, rational, rows
+from synth.certificates.rational import decimal, rational, rounded_down, rows
 from synth.plant.generalized import Plant
 
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))  # bits of a dual, and what V12 is shorter than the longest
-LOWER = (0.0, 1e-9, 1e-8, 1e-6, 1e-4, 1e-2)  # relative distances of a bound from the claimed one
+LOWER = (0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances of a bound from the claimed one
 ENOUGH = 1e-8  # relative: a bound this close to the claimed one needs no longer numbers
-IRRATIONAL = "its proof encloses stable zeros of the plant, which are no rational numbers"
+IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
 
 def lower_bound_claim(plant: Plant, loop: Loop, below: LowerBound) -> dict | str:
@@ -52,7 +52,7 @@ def lower_bound_claim(plant: Plant, loop: Loop, below: LowerBound) -> dict | str
 
 
 def _lower(gamma: float, less: float) -> Fraction:
-    return decimal(float(f"{gamma * (1 - less):.15g}") if less else gamma)
+    return decimal(rounded_down(gamma * (1 - less)) if less else gamma)
 
 
 def _invariant_point(plant: Plant, loop: Loop, below: LowerBound) -> dict | str:

@@ -1,6 +1,7 @@
 """Numbers of LMI certificates: floats as rational numbers in strings, and matrices rounded to few bits."""
 
 from collections.abc import Iterator, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from fractions import Fraction
 
 import numpy as np
@@ -28,6 +29,16 @@ def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
 def decimal(value: float) -> Fraction:
     """Returns the decimal number that a float prints as."""
     return Fraction(repr(float(value)))
+
+
+def rounded_up(value: float, count: int = 9) -> float:
+    """Returns a number rounded upwards to a number of significant digits."""
+    return float(Context(prec=count, rounding=ROUND_CEILING).create_decimal(value))
+
+
+def rounded_down(value: float, count: int = 15) -> float:
+    """Returns a positive number rounded downwards to a number of significant digits."""
+    return float(Context(prec=count, rounding=ROUND_FLOOR).create_decimal(value))
 
 
 def exact(matrix: Array) -> Matrix:

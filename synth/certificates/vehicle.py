@@ -36,7 +36,7 @@ from synth.vehicle.verification import Verification, shifted_plant
 
 PERFORMANCE = "performance"  # the plant of [performance]
 CHECKERS = ("check_certificate.py", "check_certificate.html")
-SAMPLED = "matrix exponentials of a sampled loop are no rational numbers"
+SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
 MANY = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 ROAD = "the response to a road is computed in floating point"
@@ -52,7 +52,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     """
     vehicle = designer.vehicle
     if not controller.measured or controller.preview is not None:
-        return "it measures nothing" if not controller.measured else "its force from the road ahead is no feedback"
+        return "it measures nothing" if not controller.measured else "its force from the road ahead is not feedback"
     problem = designer.problem(controller.measured, controller.hardware)
     own, said = _own_law(controller, law)
     if problem.integrals or problem.of_heights is not None:
@@ -113,10 +113,7 @@ def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | N
 
 
 def _signal(vehicle: Vehicle, name: str) -> Signal:
-    try:
-        return name, vehicle.kind.signal(name).unit
-    except (InputError, KeyError):
-        return name, "1"
+    return name, next((one.unit for one in vehicle.kind.signals if one.name == name), "1")
 
 
 def _names(vehicle: Vehicle, controller: Controller, states: Sequence[str], measured: Sequence[Signal]) -> Names:
@@ -211,6 +208,6 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
 
 
 def dumps(certificate: Mapping[str, Any]) -> str:
-    """Returns a certificate as text, with each row of a matrix on one line."""
+    """Returns a certificate as text, with each row of a matrix and each signal on one line."""
     text = json.dumps(certificate, indent=1, ensure_ascii=False)
-    return re.sub(r"\[\s+((?:\"[-\d./]+\",?\s*)+)\]", lambda row: f"[{' '.join(row[1].split())}]", text) + "\n"
+    return re.sub(r"[\[{]\n[^\[\]{}]*[\]}]", lambda inner: re.sub(r"\n\s*", " ", inner[0]), text) + "\n"

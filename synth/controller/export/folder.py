@@ -53,7 +53,7 @@ def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificate
 
     Args:
         vehicle: the vehicle whose file is in the folder.
-        driver: its controller.
+        driver: controller of that vehicle.
         law: the law as it is exported.
         certificates: LMI certificates and the programs that check them, by name; empty for none.
     """
