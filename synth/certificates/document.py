@@ -131,7 +131,9 @@ class Document:
             claim = lower_bound_claim(of, loop, below) if of is not None else "the plant of this bound has other states"
             self.add(name, f"lower bound {digits(below.gamma)}", claim)
             if isinstance(claim, dict) and float(claim["bound"]) < below.gamma * (1 - WEAKER):
-                self.leave_out(f"lower bound {digits(below.gamma)}", f"rational numbers prove {digits(float(claim['bound']))}", "none")
+                self.leave_out(
+                    f"lower bound {digits(below.gamma)}", f"rational numbers prove {digits(float(claim['bound']))}", "none"
+                )
 
     def record(self, controller: str, about: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the certificate as JSON."""

@@ -1,5 +1,6 @@
 """Proofs of lower bounds in rational numbers, from those of `analysis/lower_bound.py` and `analysis/invariant_point.py`."""
 
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -14,7 +15,7 @@ from synth.certificates.rational import decimal, rational, rounded_down, rows
 from synth.plant.generalized import Plant
 
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))  # bits of a dual, and what V12 is shorter than the longest
-LOWER = (0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances of a bound from the claimed one
+LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances of a bound from the claimed one
 ENOUGH = 1e-8  # relative: a bound this close to the claimed one needs no longer numbers
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
@@ -31,48 +32,48 @@ def lower_bound_claim(plant: Plant, loop: Loop, below: LowerBound) -> dict | str
         return _invariant_point(plant, loop, below)
     if below.zeros or below.state is None:
         return IRRATIONAL if below.zeros else "no proof is known"
-    best: dict | None = None
+    best, claim, n = Fraction(0), None, len(plant.A)
     for bits, shrink in SHORTER:
         duals = _duals(plant, below.state, below.observer, bits, shrink)
         if duals is None:
             continue
-        more = len(loop.I.rows) - len(plant.A)
-        W1, W2, V12 = (np.insert(each, [len(plant.A)] * more, Fraction(0), axis=0) for each in duals)
-        V12 = np.insert(V12, [len(plant.A)] * more, Fraction(0), axis=1)
-        for less in LOWER:
-            bound = _lower(below.gamma, less)
-            if best is not None and Fraction(best["bound"]) >= bound:
-                break
-            if loop.lower_bound(bound, *map(Matrix, (W1, W2, V12))):
-                best = {"kind": "lower_bound", "bound": rational(bound), "W1": rows(W1), "W2": rows(W2), "V12": rows(V12)}
-                break
-        if best is not None and float(Fraction(best["bound"])) >= below.gamma * (1 - ENOUGH):
+        more = [n] * (len(loop.I.rows) - n)
+        W1, W2, V12 = (np.insert(each, more, Fraction(0), axis=0) for each in duals)
+        W1, W2, V12 = map(Matrix, (W1, W2, np.insert(V12, more, Fraction(0), axis=1)))
+        bound = _largest(below.gamma, lambda bound, W1=W1, W2=W2, V12=V12: loop.lower_bound(bound, W1, W2, V12))
+        if bound > best:
+            matrices = {"W1": rows(W1.rows), "W2": rows(W2.rows), "V12": rows(V12.rows)}
+            best, claim = bound, {"kind": "lower_bound", "bound": rational(bound), **matrices}
+        if float(best) >= below.gamma * (1 - ENOUGH):
             break
-    return best or IRRATIONAL
+    return claim or IRRATIONAL
 
 
-def _lower(gamma: float, less: float) -> Fraction:
-    return decimal(rounded_down(gamma * (1 - less)) if less else gamma)
+def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
+    """Returns the largest bound up to gamma that is proved, or nearly; 0 if none is proved."""
+    levels = [decimal(gamma), *(decimal(rounded_down(gamma * (1 - less))) for less in LOWER)]
+    return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 
 def _invariant_point(plant: Plant, loop: Loop, below: LowerBound) -> dict | str:
     """Returns the claim of an invariant point."""
     assert below.limit_at is not None, "it is given"
+    n, sampled = len(plant.A), plant.dt is not None
     t = Fraction(float(below.limit_at if plant.dt is None else np.tan(below.limit_at * plant.dt / 2)))
     _, pair = proof_at(plant, below.limit_at)
     if not len(pair):
         return "no proof is known"
-    a, b = np.split(pair // np.gcd.reduce(pair), 2)
-    if plant.dt is not None:  # the rows of the states were multiplied by 1 - j t
-        n, (low, high) = len(plant.A), (t.numerator, t.denominator)
-        a, b = high * a, high * b
-        a[:n], b[:n] = a[:n] - b[:n] // high * low, b[:n] + a[:n] // high * low
-    r = np.insert(np.array([a, b]), [len(plant.A)] * (len(loop.I.rows) - len(plant.A)), 0, axis=1)
-    for less in LOWER:
-        bound = _lower(below.gamma, less)
-        if loop.invariant_point(bound, t, Matrix(r)):
-            return {"kind": "invariant_point", "bound": rational(bound), "frequency": rational(t), "r": rows(r)}
-    return "no proof is known"
+    a, b = np.split(pair // np.gcd.reduce(pair) * (t.denominator if sampled else 1), 2)
+    if sampled:  # the rows of the states were multiplied by 1 - j t
+        turn = t.numerator * np.array([a, b])[:, :n] // t.denominator
+        a[:n], b[:n] = a[:n] - turn[1], b[:n] + turn[0]
+    r = np.insert(np.array([a, b]), [n] * (len(loop.I.rows) - n), 0, axis=1)
+    bound = _largest(below.gamma, lambda bound: loop.invariant_point(bound, t, Matrix(r)))
+    return (
+        {"kind": "invariant_point", "bound": rational(bound), "frequency": rational(t), "r": rows(r)}
+        if bound
+        else "it is not proved"
+    )
 
 
 def _duals(
