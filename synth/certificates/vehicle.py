@@ -102,14 +102,15 @@ def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw
     return replace(own, D=D), []
 
 
-def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | None) -> dict[str, str | None]:
-    """Returns the SHA-256 of the vehicle file and of the gain in C code."""
+def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | None) -> dict[str, str]:
+    """Returns the SHA-256 of the vehicle file and of the tables in C code: `grep -E '^(static|    [{])' NAME_data.h`."""
     try:
         law = law or exported_law(vehicle, controller, "double", c_name(controller.name))
     except InputError:
         return {"vehicle file": sha256(vehicle.text)}
-    name = f"{law.name}_data.h"
-    return {"vehicle file": sha256(vehicle.text), name: sha256(CSource(law, "").data())}
+    lines = CSource(law, "").data().splitlines(keepends=True)
+    tables = "".join(line for line in lines if line.startswith(("static", "    {")))
+    return {"vehicle file": sha256(vehicle.text), f"tables of {law.name}_data.h": sha256(tables)}
 
 
 def _signal(vehicle: Vehicle, name: str) -> Signal:

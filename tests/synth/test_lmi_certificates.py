@@ -1,12 +1,16 @@
 """LMI certificates: two checkers agree about each kind of claim, damaged files, and every exact claim of our vehicles."""
 
+import ast
 import copy
 import json
+import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +19,9 @@ from scipy import linalg
 
 from models.common.extensions import FEATURES
 from models.laws.linear import LinearLaw, static_law
+from models.laws.python_law import sha256
 from models.vehicle.vehicle import read_vehicle
+from synth.__main__ import main
 from synth.analysis.bounding import certify_law
 from synth.analysis.energy_to_peak import energy_peaks
 from synth.analysis.norm import hinf_norm
@@ -23,10 +29,11 @@ from synth.certificates.check_certificate import SHAPES, check
 from synth.certificates.claims import box_claims, decay_claim, peak_claim
 from synth.certificates.document import Document, plain_names, plant_certificate, with_law
 from synth.certificates.vehicle import certificate, dumps
+from synth.controller.controller import Controller
 from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.generalized import Feedback, Plant
 from synth.vehicle.designer import Designer
-from tests.support.commands import attacks
+from tests.support.commands import attacks, in_the_suite
 from tests.support.pages import ROOT
 
 HERE = ROOT / "synth" / "certificates"
@@ -139,6 +146,7 @@ def more_claims(plant: Plant, law: LinearLaw, into: dict[str, Any]) -> list[dict
 KINDS = {"stability", "decay", "norm", "energy_to_peak", "lower_bound", "invariant_point", "box"}
 
 
+@cache
 def each_kind() -> list[dict[str, Any]]:
     """Returns certificates with every kind of claim, of continuous and discrete plants and laws."""
     return [drawn(8), drawn(4, dt=0.1), drawn(4, states=2), drawn(2, dt=0.1)]
@@ -239,15 +247,15 @@ def damaged(document: dict[str, Any], rng: np.random.Generator) -> str:
     return dumps(document)
 
 
-@pytest.mark.parametrize("seed", [0, *attacks(range(1, 6))])
+@pytest.mark.parametrize("seed", [0, *attacks(range(1, 11))])
 def test_damaged_certificates_prove_nothing_false(seed):
-    """Of 40 damaged files, in all 240, each is refused or proves what it then says; the checkers agree on each."""
+    """Of 20 damaged files, in all 220, each is refused or proves what it then says; the checkers agree on each."""
     rng, documents = np.random.default_rng(seed), [certificate_of("quarter_car", "I"), *each_kind()]
-    texts = [damaged(documents[rng.integers(len(documents))], rng) for _ in range(40)]
+    texts = [damaged(documents[rng.integers(len(documents))], rng) for _ in range(20)]
     answers = both(texts)
     for text, (code, _) in zip(texts, answers, strict=True):
         assert code or not untrue(json.loads(text))
-    assert sum(code > 0 for code, _ in answers) > 10 < sum(code == 0 for code, _ in answers) + 10
+    assert 5 < sum(code > 0 for code, _ in answers) < 20  # some of both
 
 
 def certificate_of(car: str, name: str) -> dict[str, Any]:
@@ -256,3 +264,82 @@ def certificate_of(car: str, name: str) -> dict[str, Any]:
     found = certificate(designer, designer.design(name))
     assert not isinstance(found, str)
     return found
+
+
+FILES = sorted((ROOT / "models").glob("*.toml")) + sorted((ROOT / "models" / "gallery").glob("*/*.toml"))
+SECONDS = {4: 1, 8: 5}  # of processor time of a check in Python, by states; 60 for more
+UNPROVED = {"lqr.toml": "the plant of this bound has other states"}  # integrals in z
+
+
+def exact_claims(controller: Controller) -> set[tuple[str, float]]:
+    """Returns the exact claims of a certificate: upper and lower bounds."""
+    of = controller.certificate
+    return {("norm", of.bound or 0.0), ("lower", of.lower_bound or 0.0)} - {("norm", 0.0), ("lower", 0.0)}
+
+
+@pytest.mark.parametrize("path", in_the_suite([ROOT / "models" / "quarter_car_accelerometer.toml"], FILES))
+def test_every_exact_claim_has_a_proof(path):
+    """Each bound and lower bound of the built-in vehicles and the gallery is in a file that both checkers prove, in time."""
+    if path.name == "entry.toml":
+        pytest.skip("an entry of the gallery is no vehicle file")
+    vehicle = read_vehicle(path)
+    for name in [name for name in vehicle.linear_names if name != "passive"]:
+        designer = Designer(vehicle.with_actuators_of(name), search=False)
+        controller = designer.design(name)
+        found = certificate(designer, controller)
+        assert not isinstance(found, str)
+        start = time.process_time()
+        ((code, line),) = both([dumps(found)])
+        assert code == 0, line
+        assert time.process_time() - start < SECONDS.get(len(found["plants"]["performance"]["A"]), 60)
+        proved = {claim["kind"]: float(Fraction(claim["bound"])) for claim in found["claims"][::-1] if "bound" in claim}
+        for kind, bound in exact_claims(controller):
+            if kind == "lower" and UNPROVED.get(path.name) in {one["reason"] for one in found["not_exact"]}:
+                continue
+            level = proved["norm"] if kind == "norm" else proved.get("lower_bound", proved.get("invariant_point", 0.0))
+            assert level == pytest.approx(bound, rel=1e-12 if kind == "norm" else 1e-7)
+
+
+@pytest.mark.parametrize("numbers", ["double", "int16"])
+def test_gain_of_the_code(tmp_path, numbers, capsys):
+    """An exported folder has a certificate of the gain in its C code: equal in double, and proved again where it is rounded."""
+    folder = tmp_path / "ecu"
+    ranges = ["--range", "suspension_deflection=0.2", "--range", "sprung_velocity=2"] if numbers == "int16" else []
+    assert main(["--controller", "I_printed", "--export", str(folder), "--numbers", numbers, *ranges]) == 0
+    found = json.loads((folder / "certificates" / "I_printed.json").read_text(encoding="utf-8"))
+    data, (gain,) = (folder / "I_printed_data.h").read_text(encoding="utf-8"), found["gain"]
+    tables = "".join(line for line in data.splitlines(keepends=True) if line.startswith(("static", "    {")))
+    assert found["fingerprints"]["vehicle file"] == sha256((folder / "vehicle.toml").read_text(encoding="utf-8"))
+    assert found["fingerprints"]["tables of I_printed_data.h"] == sha256(tables)
+    (table,) = re.findall(r"_D\[1\]\[2\] = \{ \{(.*?)\}\}", " ".join(data.split()))
+    code = [float(number) for number in re.findall(r"-?\d[\d.e+]*", table)]
+    if numbers == "double":
+        assert [float(Fraction(x)) for x in gain] == code
+    else:
+        assert all(
+            (Fraction(x) / Fraction(int(y))).denominator in {2**k for k in range(40)} for x, y in zip(gain, code, strict=True)
+        )
+        assert [float(Fraction(x)) for x in gain] == pytest.approx([10824.0, -2071.0], rel=1e-3)
+    assert both([json.dumps(found)])[0][0] == 0
+    names = {"check_certificate.py", "check_certificate.html", "I_printed.json"}
+    assert {file.name for file in (folder / "certificates").iterdir()} == names
+    capsys.readouterr()
+    assert main(["--check", str(folder)]) == 0
+    (folder / "certificates" / "I_printed.json").write_text("{}", encoding="utf-8")
+    assert main(["--check", str(folder)]) == 1
+
+
+def test_checkers_are_short_and_alone():
+    """Each checker has at most 150 lines; that in Python needs the standard library alone, and the page loads nothing."""
+    source, page = PYTHON.read_text(encoding="utf-8"), PAGE.read_text(encoding="utf-8")
+    assert max(text.count("\n") for text in (source, page)) <= 150
+    tree = ast.parse(source)
+    modules = {
+        one.module if isinstance(one, ast.ImportFrom) else one.names[0].name
+        for one in ast.walk(tree)
+        if isinstance(one, (ast.Import, ast.ImportFrom))
+    }
+    assert modules <= sys.stdlib_module_names
+    longest = max(one.end_lineno - one.lineno for one in ast.walk(tree) if isinstance(one, ast.FunctionDef) and one.end_lineno)
+    assert longest <= 28  # `check`; a kind has at most 20
+    assert not re.search(r"https?:|src=|fetch|import ", page)
