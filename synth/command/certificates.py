@@ -6,8 +6,8 @@ from pathlib import Path
 from models.common.errors import InputError
 from models.common.files import made_folder, together, whole_file
 from models.vehicle.vehicle import Vehicle
-from synth.certificates.vehicle import certificate_texts
 from synth.controller.controller import Controller
+from synth.vehicle.lmi_certificates import certificate_texts
 
 OPTION = "certificates"
 

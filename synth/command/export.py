@@ -14,7 +14,6 @@ from models.common.files import made_folder, together, whole_file
 from models.common.printed import Whole, pasted_path, say, show
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.certificates.vehicle import certificate_texts
 from synth.command.certificates import write_certificates
 from synth.command.save import SUFFIX, left_out_lines, saved_text
 from synth.controller.controller import Controller, check_feedback_alone
@@ -26,6 +25,7 @@ from synth.controller.export.folder import CERTIFICATE, CERTIFICATES, VEHICLE, f
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
+from synth.vehicle.lmi_certificates import certificate_texts
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 

@@ -53,10 +53,8 @@ ROOMS = {
     "synth.design": "models.document models.laws synth.plant synth.analysis synth.lmi",
     "synth.vehicle": "models.document models.laws models.kinds models.vehicle models.roads synth.plant synth.analysis "
     "synth.controller synth.lmi synth.design",
-    "synth.certificates": "models.kinds models.laws models.vehicle synth.plant synth.analysis synth.controller synth.design "
-    "synth.vehicle",
     "synth.command": "models.document models.laws models.vehicle synth.plant synth.analysis synth.controller synth.lmi "
-    "synth.design synth.vehicle synth.certificates",
+    "synth.design synth.vehicle",
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
     "sim": "",

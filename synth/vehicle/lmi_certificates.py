@@ -18,10 +18,10 @@ from models.laws.python_law import sha256
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.energy_to_peak import energy_peaks
+from synth.analysis.lmi_certificate.check_certificate import ExactLoop
+from synth.analysis.lmi_certificate.claims import box_claims, decay_claim, norm_claim, peak_claim
+from synth.analysis.lmi_certificate.document import Document, Names, Signal, with_law
 from synth.analysis.uncertainty_box import BoxProof
-from synth.certificates.check_certificate import Loop
-from synth.certificates.claims import box_claims, decay_claim, norm_claim, peak_claim
-from synth.certificates.document import Document, Names, Signal, with_law
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import CSource
@@ -151,7 +151,7 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
         document.leave_out("largest ratio to a vehicle's own best", "the best of each vehicle is found by a search", "none")
     for i, (member, which) in enumerate(zip(asked.members, verification.names, strict=True)):
 
-        def loop(what: str, plant: Plant, outputs: list[Signal], which: str = which) -> tuple[str, Loop]:
+        def loop(what: str, plant: Plant, outputs: list[Signal], which: str = which) -> tuple[str, ExactLoop]:
             name = f"{which}: {what}" if which else what
             return name, document.loop(name, plant, {**names, "outputs": outputs})
 
@@ -204,7 +204,7 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
         found = certificate(Designer(vehicle.with_actuators_of(controller.name), search=False), controller, law)
         if not isinstance(found, str):
             texts[f"{c_name(controller.name)}.json"] = dumps(found)
-    here = files("synth.certificates")
+    here = files("synth.analysis.lmi_certificate")
     return texts | {name: here.joinpath(name).read_text("utf-8") for name in CHECKERS} if texts else {}
 
 

@@ -15,12 +15,12 @@ from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of, prove_bound
+from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
+from synth.analysis.lmi_certificate.rational import decimal, exact, floats, rational, rounded_down, rounded_up, rows, shortened
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import definiteness
 from synth.analysis.stability import balance, stability
 from synth.analysis.uncertainty_box import BoxProof
-from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.rational import decimal, exact, floats, rational, rounded_down, rounded_up, rows, shortened
 from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
@@ -31,7 +31,7 @@ ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of a bound from the norm, i
 SLOWER = (1e-3, 1e-2, 0.1)  # relative distance of a rate from the decay of the slowest pole, if none is given
 
 
-def norm_claim(loop: Loop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
+def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
     """Returns the claim that a loop is stable with a norm below a bound; None if it is not proved.
 
     Args:
@@ -71,7 +71,7 @@ def _bounding(loop: Plant, level: float, norm: float, known: Array | None) -> It
         yield known
 
 
-def decay_claim(loop: Loop, dt: float | None = None, rate: float | None = None) -> Claim | None:
+def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = None) -> Claim | None:
     """Returns the claim that all poles of a loop decay faster than a rate; None if it is not proved.
 
     Args:
@@ -97,7 +97,7 @@ def decay_claim(loop: Loop, dt: float | None = None, rate: float | None = None) 
     return None
 
 
-def peak_claim(loop: Loop, bound: float, X: Array) -> Claim | None:
+def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
     """Returns the claim that a disturbance of energy 1 keeps the length of z within a bound; None if it is not proved.
 
     Args:
@@ -111,7 +111,7 @@ def peak_claim(loop: Loop, bound: float, X: Array) -> Claim | None:
     return None
 
 
-def box_claims(loop: Loop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
+def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
     """Returns a claim for each part of a box of relative errors, about a norm or a decay; None if one is not proved.
 
     Args:

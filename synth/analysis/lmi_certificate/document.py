@@ -16,10 +16,10 @@ from models.common.arrays import Array
 from models.common.printed import digits
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
-from synth.certificates.check_certificate import SHAPES, SIGNALS, Loop
-from synth.certificates.claims import Claim, decay_claim, norm_claim
-from synth.certificates.duals import lower_bound_claim
-from synth.certificates.rational import decimal, exact_loop, rational, rows
+from synth.analysis.lmi_certificate.check_certificate import SHAPES, SIGNALS, ExactLoop
+from synth.analysis.lmi_certificate.claims import Claim, decay_claim, norm_claim
+from synth.analysis.lmi_certificate.duals import lower_bound_claim
+from synth.analysis.lmi_certificate.rational import decimal, exact_loop, rational, rows
 from synth.plant.generalized import Plant, law_gain
 
 FORMAT = "LMI certificate 1"
@@ -70,7 +70,7 @@ class Document:
     not_exact: list[dict[str, str]] = field(default_factory=list)
     work: int = 0
 
-    def loop(self, name: str, plant: Plant, names: Names) -> Loop:
+    def loop(self, name: str, plant: Plant, names: Names) -> ExactLoop:
         """Returns the loop of the gain with a plant, which the file then contains.
 
         Args:
@@ -111,7 +111,7 @@ class Document:
         """Lists a claim that the file does not prove."""
         self.not_exact.append({"claim": what, "proof": proof, "reason": reason})
 
-    def add_certificate(self, name: str, plant: Plant, loop: Loop, certificate: Certificate, of: Plant | None) -> None:
+    def add_certificate(self, name: str, plant: Plant, loop: ExactLoop, certificate: Certificate, of: Plant | None) -> None:
         """Adds the claims of a certificate: the bound of the norm, the decay and the lower bound.
 
         Args:

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
-from synth.certificates.check_certificate import SHAPES, Loop, Matrix
+from synth.analysis.lmi_certificate.check_certificate import SHAPES, ExactLoop, Matrix
 from synth.plant.generalized import Plant
 
 LONG = 10**20  # a denominator that no short decimal fraction has
@@ -46,16 +46,16 @@ def exact(matrix: Array) -> Matrix:
     return Matrix([Fraction(float(x)) for x in row] for row in matrix)
 
 
-def exact_loop(plant: Plant, K: Array) -> Loop:
+def exact_loop(plant: Plant, K: Array) -> ExactLoop:
     """Returns the loop u = K y of a plant in rational arithmetic, as the checker computes it.
 
     Raises:
         ZeroDivisionError: the loop through the measurements has no solution.
     """
-    return Loop({name: exact(getattr(plant, name)) for name in SHAPES} | {"sampled": plant.dt is not None}, exact(K))
+    return ExactLoop({name: exact(getattr(plant, name)) for name in SHAPES} | {"sampled": plant.dt is not None}, exact(K))
 
 
-def floats(loop: Loop, dt: float | None) -> Plant:
+def floats(loop: ExactLoop, dt: float | None) -> Plant:
     """Returns a loop from w to z, each entry rounded once."""
     n = len(loop.I.rows)
     S, W = (np.array(M.rows, dtype=float) for M in (loop.S, loop.W))

@@ -53,7 +53,7 @@ def diagonal(entries):
     """Returns a diagonal matrix."""
     return Matrix([x * (i == j) for j in range(len(entries))] for i, x in enumerate(entries))
 
-class Loop:
+class ExactLoop:
     """The loop u = K y of a plant p: S = [A; C] and W = [Bw; Dw] of the loop, E = [I; 0], and det = det(I - K Dyu)."""
 
     def __init__(self, p, K):
@@ -117,7 +117,7 @@ class Loop:
     def box(self, of, low, high, **claim):
         """A claim holds if each measurement, then each input, has a factor from low to high: at all corners, with one X."""
         q, factors = len(self.p["Cy"].rows), product(*({*ends} for ends in zip(*(low | high).rows, strict=True)))
-        loops = [Loop(self.p, diagonal(f[q:]) @ self.K @ diagonal(f[:q])) for f in factors]
+        loops = [ExactLoop(self.p, diagonal(f[q:]) @ self.K @ diagonal(f[:q])) for f in factors]
         kept = of in KINDS[:3] and len({loop.det > 0 for loop in loops}) == 1
         return kept and all(getattr(loop, of)(**claim) for loop in loops)
 
@@ -131,7 +131,7 @@ def check(text):
             shapes = [(len(M.rows), len(M.T.rows)) for M in (*plant.values(), K)]
             if shapes != [(size[a], size[b]) for a, b in (*SHAPES.values(), "uy")] or not (data["claims"] and min(size.values())):
                 raise ValueError("a matrix does not fit the names of its signals, or there is no claim")
-            loops[name] = Loop(plant | {"sampled": p["sample_period"] is not None}, K)
+            loops[name] = ExactLoop(plant | {"sampled": p["sample_period"] is not None}, K)
         for claim in data["claims"]:
             kind, loop, proof = claim.pop("kind"), loops[claim.pop("plant")], claim.pop("proof")
             if kind not in KINDS or (data["format"], proof) != ("LMI certificate 1", "exact"):

@@ -7,11 +7,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.invariant_point import proof_at
+from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
+from synth.analysis.lmi_certificate.rational import decimal, rational, rounded_down, rows
 from synth.analysis.lower_bound import DualCertificate, LowerBound, dual_factors
 from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
-from synth.certificates.check_certificate import Loop, Matrix
-from synth.certificates.rational import decimal, rational, rounded_down, rows
 from synth.plant.generalized import Plant
 
 SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))  # bits of a dual, and what V12 is shorter than the longest
@@ -20,7 +20,7 @@ ENOUGH = 1e-8  # relative: a bound this close to the claimed one needs no longer
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
 
-def lower_bound_claim(plant: Plant, loop: Loop, below: LowerBound) -> dict | str:
+def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
     """Returns the claim of a lower bound, or the reason why certificates cannot hold it.
 
     Args:
@@ -55,7 +55,7 @@ def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 
-def _invariant_point(plant: Plant, loop: Loop, below: LowerBound) -> dict | str:
+def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
     """Returns the claim of an invariant point."""
     assert below.limit_at is not None, "it is given"
     n, sampled = len(plant.A), plant.dt is not None
