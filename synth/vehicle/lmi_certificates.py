@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -203,7 +204,8 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
     for controller in controllers:
         found = certificate(Designer(vehicle.with_actuators_of(controller.name), search=False), controller, law)
         if not isinstance(found, str):
-            texts[f"{c_name(controller.name)}.json"] = dumps(found)
+            name = c_name(controller.name)
+            texts[next(file for i in count(1) if (file := f"{name}{f'_{i}' * (i > 1)}.json") not in texts)] = dumps(found)
     here = files("synth.analysis.lmi_certificate")
     return texts | {name: here.joinpath(name).read_text("utf-8") for name in CHECKERS} if texts else {}
 

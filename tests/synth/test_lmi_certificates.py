@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from typing import Any
@@ -28,6 +29,7 @@ from synth.analysis.lmi_certificate.check_certificate import SHAPES, check
 from synth.analysis.lmi_certificate.claims import box_claims, decay_claim, peak_claim
 from synth.analysis.lmi_certificate.document import Document, plain_names, plant_certificate, with_law
 from synth.analysis.norm import hinf_norm
+from synth.analysis.uncertainty_box import BoxProof
 from synth.controller.controller import Controller
 from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.generalized import Feedback, Plant
@@ -51,7 +53,7 @@ def in_javascript(texts: Sequence[str]) -> list[Answer]:
 
 def both(texts: Sequence[str]) -> list[Answer]:
     """Returns the answers of Python, after a comparison with those of JavaScript: the same code, and the same claims."""
-    answers = [check(text) for text in texts]
+    answers: list[Answer] = [check(text) for text in texts]
     if NODE:
         for text, one, other in zip(texts, answers, in_javascript(texts), strict=True):
             assert one[0] == other[0], (one, other, text[:2000])
@@ -67,7 +69,7 @@ def test_by_hand(tmp_path):
 
     # X solves A X + X A' + B B' 1.02 / bound^2 + X C' C X = 0, by an invariant subspace of the Hamiltonian matrix.
     poles, vectors = np.linalg.eig(np.block([[loop.T, z.T @ z], [-1.02 / bound**2 * B @ B.T, -loop]]))
-    stable = vectors[:, poles.real < 0]
+    stable = vectors[:, np.real(poles) < 0]
     X = np.round(np.real(stable[2:] @ np.linalg.inv(stable[:2])) * 1024) / 1024  # rounded: any X that proves the claim will do
 
     def exact(M: np.ndarray) -> list[list[str]]:
@@ -109,13 +111,13 @@ def drawn(seed: int, dt: float | None = None, states: int = 0) -> dict[str, Any]
     n, d = 4, 3
     A = rng.standard_normal((n, n))
     A = A - (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(n) if dt is None else 0.8 * A / np.abs(np.linalg.eigvals(A)).max()
-    parts = [rng.standard_normal(shape) for shape in ((n, 1), (n, 2), (d, n), (d, 1))]
-    plant = Plant(A, *parts, np.zeros((d, 2)), dt=dt, Cy=rng.standard_normal((2, n)), Dyu=0.1 * np.ones((2, 1)))
+    B, Bw, C, D, Cy = (rng.standard_normal(shape) for shape in ((n, 1), (n, 2), (d, n), (d, 1), (2, n)))
+    plant = Plant(A, B, Bw, C, D, np.zeros((d, 2)), dt=dt, Cy=Cy, Dyu=0.1 * np.ones((2, 1)))
     plant = plant.with_disturbances(np.eye(2))
     law = static_law(0.02 * rng.standard_normal((1, 2)))
     if states:
-        shapes = ((states, states), (states, 2), (1, states))
-        law = LinearLaw(*(0.2 * rng.standard_normal(shape) for shape in shapes), law.D, sample_period=0.1)
+        A, B, C = (0.2 * rng.standard_normal(shape) for shape in ((states, states), (states, 2), (1, states)))
+        law = LinearLaw(A, B, C, law.D, sample_period=0.1)
     below = FEATURES.load("lower bounds").find_lower_bound(plant.without_feedthrough)
     document = plant_certificate("drawn", plant, law, certify_law(plant, law.continuous() if dt is None else law, below))
     if dt is None and not states:
@@ -129,12 +131,12 @@ def more_claims(plant: Plant, law: LinearLaw, into: dict[str, Any]) -> list[dict
     document = Document(gain)
     loop = document.loop("plant", larger, plain_names(larger))
     worst = worst_norm(plant, None, law.D, 0.2, 0.1)
+    assert isinstance(worst.proof, BoxProof)
     document.add("plant", "errors", box_claims(loop, worst.proof))
     decay = decay_claim(loop)
     assert decay is not None
     document.add("plant", "stability", {"kind": "stability", "X": decay["X"]})
-    measured = {"Cy": plant.Cy, "Dyu": plant.Dyu}
-    alone = Plant(plant.A, plant.B, plant.Bw, plant.C[:1], plant.D[:1], 0 * plant.Dw[:1], **measured)
+    alone = replace(plant, C=plant.C[:1], D=plant.D[:1], Dw=0 * plant.Dw[:1], Dyw=0 * plant.Dyw)
     peaks = energy_peaks(alone, Feedback(alone.acting(law.D), alone.Cy), alone.C, alone.D)
     signal = document.loop("signal", alone, plain_names(alone))
     document.add("signal", "energy", peak_claim(signal, float(peaks.bounds[0]), peaks.proof.X))
@@ -175,13 +177,19 @@ def floats(rows_of: Sequence[Sequence[str]]) -> np.ndarray:
     return np.array([[float(Fraction(x)) for x in row] for row in rows_of])
 
 
+def plant_of(record: dict[str, Any]) -> Plant:
+    """Returns a plant of a certificate."""
+    A, B, Bw, C, D, Dw, Cy, Dyu, Dyw = (floats(record[name]) for name in SHAPES)
+    return Plant(A, B, Bw, C, D, Dw, dt=1.0 if record["sample_period"] is not None else None, Cy=Cy, Dyu=Dyu, Dyw=Dyw)
+
+
 def test_discrete_law_is_judged_by_its_counterpart():
     """The gain of the certificate has the numbers of a discrete law, and its loop is that of Tustin's counterpart."""
     document = drawn(4, states=2)
-    p, K = {name: floats(document["plants"]["plant"][name]) for name in SHAPES}, floats(document["gain"])
-    own, law = slice(4), LinearLaw(K[1:, 2:], K[1:, :2], K[:1, 2:], K[:1, :2], sample_period=0.1)
-    measured = {"Cy": p["Cy"][:2, own], "Dyu": p["Dyu"][:2, :1], "Dyw": p["Dyw"][:2]}
-    plant = Plant(p["A"][own, own], p["B"][own, :1], p["Bw"][own], p["C"][:, own], p["D"][:, :1], p["Dw"], **measured)
+    p, K, own = plant_of(document["plants"]["plant"]), floats(document["gain"]), slice(4)
+    law = LinearLaw(K[1:, 2:], K[1:, :2], K[:1, 2:], K[:1, :2], sample_period=0.1)
+    measured = {"Cy": p.Cy[:2, own], "Dyu": p.Dyu[:2, :1], "Dyw": p.Dyw[:2]}
+    plant = replace(p, A=p.A[own, own], B=p.B[own, :1], Bw=p.Bw[own], C=p.C[:, own], D=p.D[:, :1], **measured)
     norm = hinf_norm(plant.closed(law.continuous())).value
     bound = float(next(claim["bound"] for claim in document["claims"] if claim["kind"] == "norm"))
     assert norm < bound < norm * (1 + 1e-5)
@@ -191,9 +199,8 @@ def untrue(document: dict[str, Any]) -> list[str]:
     """Returns the kinds of claims that floating point refutes, by poles, norms and gramians instead of the proofs."""
     wrong, K = list[str](), floats(document["gain"])
     for claim in document["claims"]:
-        p = document["plants"][claim["plant"]]
-        parts, dt = {name: floats(p[name]) for name in SHAPES}, 1.0 if p["sample_period"] is not None else None
-        plant, bound = Plant(**parts, dt=dt), float(Fraction(claim.get("bound", "0")))
+        plant, bound = plant_of(document["plants"][claim["plant"]]), float(Fraction(claim.get("bound", "0")))
+        dt = plant.dt
         ends = [floats(claim[end])[0] for end in ("low", "high")] if claim["kind"] == "box" else [np.ones(sum(K.shape))] * 2
         for share in np.random.default_rng(0).random((8 if claim["kind"] == "box" else 1, sum(K.shape))):
             f = ends[0] + np.round(share) * (ends[1] - ends[0])

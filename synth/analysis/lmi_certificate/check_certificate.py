@@ -128,7 +128,7 @@ def check(text):
         for name, p in data["plants"].items():
             size = {letter: len({signal["name"]: signal["unit"] for signal in p[key]}) for letter, key in SIGNALS.items()}
             plant, K = {key: read(p[key]) for key in SHAPES}, read(data["gain"])
-            shapes = [(len(M.rows), len(M.T.rows)) for M in (*plant.values(), K)]
+            shapes = [(len(M.rows), len(M.T.rows)) for M in (*plant.values(), K)]  # pyright: ignore[reportAttributeAccessIssue]
             if shapes != [(size[a], size[b]) for a, b in (*SHAPES.values(), "uy")] or not (data["claims"] and min(size.values())):
                 raise ValueError("a matrix does not fit the names of its signals, or there is no claim")
             loops[name] = ExactLoop(plant | {"sampled": p["sample_period"] is not None}, K)

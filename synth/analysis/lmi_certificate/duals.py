@@ -38,8 +38,8 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
         if duals is None:
             continue
         more = [n] * (len(loop.I.rows) - n)
-        W1, W2, V12 = (np.insert(each, more, Fraction(0), axis=0) for each in duals)
-        W1, W2, V12 = map(Matrix, (W1, W2, np.insert(V12, more, Fraction(0), axis=1)))
+        W1, W2, V12 = (np.insert(each, more, 0, axis=0) for each in duals)
+        W1, W2, V12 = map(Matrix, (W1, W2, np.insert(V12, more, 0, axis=1)))
         bound = _largest(below.gamma, lambda bound, W1=W1, W2=W2, V12=V12: loop.lower_bound(bound, W1, W2, V12))
         if bound > best:
             matrices = {"W1": rows(W1.rows), "W2": rows(W2.rows), "V12": rows(V12.rows)}
