@@ -16,11 +16,11 @@ def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Con
     """Writes the certificates of controllers to a folder; returns the names of the files.
 
     Raises:
-        InputError: no controller has a certificate, or the folder cannot be written.
+        InputError: no controller measures anything, or the folder cannot be written.
     """
     texts = certificate_texts(vehicle, controllers)
     if not texts:
-        raise InputError(f"--certificates {folder}: no controller has an LMI certificate; give a linear controller that acts")
+        raise InputError(f"--certificates {folder}: no controller measures anything; give one that does")
     with made_folder(folder, OPTION), together():
         for name, text in texts.items():
             with whole_file(folder / name, OPTION) as part:

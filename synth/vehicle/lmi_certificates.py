@@ -43,8 +43,8 @@ MANY = "its proof is not a common X but multipliers that depend on frequency, ch
 ROAD = "the response to a road is computed in floating point"
 
 
-def certificate(designer: Designer, controller: Controller, law: ExportedLaw | None = None) -> dict[str, Any] | str:
-    """Returns the LMI certificate of a controller as JSON, or the reason why it has none.
+def certificate(designer: Designer, controller: Controller, law: ExportedLaw | None = None) -> dict[str, Any]:
+    """Returns the LMI certificate of a controller as JSON; without claims if it has none, but with the reason.
 
     Args:
         designer: the vehicle's designer.
@@ -52,14 +52,15 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
         law: the law as it is exported; the numbers of a static one are then those of the certificate.
     """
     vehicle = designer.vehicle
-    if not controller.measured or controller.preview is not None:
-        return "it measures nothing" if not controller.measured else "its force from the road ahead is not feedback"
+    about = {"vehicle": vehicle.kind.name, "fingerprints": _fingerprints(vehicle, controller, law)}
+    if controller.preview is not None:
+        return _without_claims(controller, about, "its force from the road ahead is not feedback")
     problem = designer.problem(controller.measured, controller.hardware)
     own, said = _own_law(controller, law)
     if problem.integrals or problem.of_heights is not None:
         judged = problem.judged(own)
         if judged.with_road_heights is not None:
-            return "a lasting height of the road shows in z, so that there is no norm"
+            return _without_claims(controller, about, "a lasting height of the road shows in z")
         plant, gain, k, base = replace(judged.plant, Cy=judged.G.Cy), judged.G.K, judged.law_states, None
         own_states = judged.states
     else:
@@ -82,9 +83,13 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
         document.leave_out(promise.what, MANY)
     if entry is not None and entry.goals is not None and not own.states:
         _add_goals(document, vehicle, entry, own.D, names)
-    return document.record(
-        controller.name, {"vehicle": vehicle.kind.name, "fingerprints": _fingerprints(vehicle, controller, law)}
-    )
+    return document.record(controller.name, about)
+
+
+def _without_claims(controller: Controller, about: Mapping[str, Any], reason: str) -> dict[str, Any]:
+    document = Document(controller.gain)
+    document.leave_out("norm of the loop", reason, "none")
+    return document.record(controller.name, about)
 
 
 def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw, list[tuple[str, str]]]:
@@ -197,15 +202,14 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
 
     Args:
         vehicle: the vehicle.
-        controllers: controllers of it; those without a certificate have no file.
+        controllers: linear controllers of it; those that measure nothing have no file.
         law: the law of the only controller as it is exported.
     """
     texts = dict[str, str]()
-    for controller in controllers:
-        found = certificate(Designer(vehicle.with_actuators_of(controller.name), search=False), controller, law)
-        if not isinstance(found, str):
-            name = c_name(controller.name)
-            texts[next(file for i in count(1) if (file := f"{name}{f'_{i}' * (i > 1)}.json") not in texts)] = dumps(found)
+    for controller in [one for one in controllers if one.measured]:
+        name, designer = c_name(controller.name), Designer(vehicle.with_actuators_of(controller.name), search=False)
+        file = next(file for i in count(1) if (file := f"{name}{f'_{i}' * (i > 1)}.json") not in texts)
+        texts[file] = dumps(certificate(designer, controller, law))
     here = files("synth.analysis.lmi_certificate")
     return texts | {name: here.joinpath(name).read_text("utf-8") for name in CHECKERS} if texts else {}
 

@@ -96,6 +96,7 @@ def test_by_hand(tmp_path):
         "claims": [{"kind": "norm", "plant": "oscillator", "proof": "exact", "bound": "0.3", "X": exact(X)}],
     }
     assert both([json.dumps(document)]) == [(0, "PROVED: norm 0.3")]
+    assert [code for code, _ in both([json.dumps(document | {"claims": [], "plants": {}}), "[]", "{", ""])] == [2, 2, 2, 2]
 
     # The exit codes: a claim that does not hold, and one that is only computed.
     for change, code in (({}, 0), ({"bound": "0.29"}, 1), ({"proof": "computed twice"}, 2)):
@@ -269,7 +270,6 @@ def certificate_of(car: str, name: str) -> dict[str, Any]:
     """Returns the certificate of a controller of a built-in vehicle."""
     designer = Designer(read_vehicle(car), search=False)
     found = certificate(designer, designer.design(name))
-    assert not isinstance(found, str)
     return found
 
 
@@ -294,7 +294,6 @@ def test_every_exact_claim_has_a_proof(path):
         designer = Designer(vehicle.with_actuators_of(name), search=False)
         controller = designer.design(name)
         found = certificate(designer, controller)
-        assert not isinstance(found, str)
         start = time.process_time()
         ((code, line),) = both([dumps(found)])
         assert code == 0, line
