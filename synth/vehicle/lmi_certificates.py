@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.signals import load_signal
-from models.laws.goals import REGRET, DecayBound, NormBound, PeakBound
+from models.laws.goals import REGRET, DecayBound, EnergyBound, NormBound, PeakBound
 from models.laws.linear import LinearLaw
 from models.laws.python_law import sha256
 from models.vehicle.controllers import ControllerEntry
@@ -21,7 +21,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.energy_to_peak import energy_peaks
 from synth.analysis.lmi_certificate.check_certificate import ExactLoop
 from synth.analysis.lmi_certificate.claims import box_claims, decay_claim, norm_claim, peak_claim
-from synth.analysis.lmi_certificate.document import Document, Names, Signal, with_law
+from synth.analysis.lmi_certificate.document import MULTIPLIERS, Document, Names, Signal, with_law
 from synth.analysis.uncertainty_box import BoxProof
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
@@ -39,7 +39,6 @@ PERFORMANCE = "performance"  # the plant of [performance]
 CHECKERS = ("check_certificate.py", "check_certificate.html")
 SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
-MANY = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 ROAD = "the response to a road is computed in floating point"
 
 
@@ -80,7 +79,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     if vehicle.implementation.sample_period is not None:
         document.leave_out("norm of the sampled-data loop", SAMPLED)
     for promise in controller.robustness:
-        document.leave_out(promise.what, MANY)
+        document.leave_out(promise.what, MULTIPLIERS)
     if entry is not None and entry.goals is not None and not own.states:
         _add_goals(document, vehicle, entry, own.D, names)
     return document.record(controller.name, about)
@@ -171,22 +170,22 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
                 document.add(name, norm.text, norm_claim(closed))
             if asked.has_errors:
                 proof = verification.worst(spec)[i].proof
-                document.add(
-                    name, f"{norm.text}, with errors", box_claims(closed, proof) if isinstance(proof, BoxProof) else MANY
-                )
+                claims = box_claims(closed, proof) if isinstance(proof, BoxProof) else MULTIPLIERS
+                document.add(name, f"{norm.text}, with errors", claims)
         for bound in (bound for bound in goals.bounds if isinstance(bound, DecayBound)):
             name, closed = loop("vehicle without filters", member.posed[0].without_weighting, _outputs(vehicle))
             document.add(name, "decay", decay_claim(closed, rate=bound.decay) or decay_claim(closed))
             if asked.has_errors:
                 moved = shifted_plant(member.posed[0], bound.decay)
                 proof = stable_with_errors(moved, K, tolerance.sensors, tolerance.forces)
-                claims = box_claims(closed, proof, bound.decay) if isinstance(proof, BoxProof) else MANY
+                claims = box_claims(closed, proof, bound.decay) if isinstance(proof, BoxProof) else MULTIPLIERS
                 document.add(name, "decay, with errors", claims)
-        for signal in member.signals:
+        energies = [bound.energy_peak for bound in goals.bounds if isinstance(bound, EnergyBound)]
+        for signal, of in zip(member.signals, energies, strict=True):
             plant = member.posed[asked.minimise.which]
             C, D = signal.c[None], signal.g[None]
             plant = replace(plant, C=C, D=D, Dw=np.zeros((1, plant.Bw.shape[1])))
-            name, closed = loop(signal.name, plant, [(signal.name, "SI")])
+            name, closed = loop(f"peak of {of}", plant, [_signal(vehicle, of)])
             try:
                 peaks = energy_peaks(plant, plant.acting(K) @ plant.Cy, C, D)
             except DesignError as error:

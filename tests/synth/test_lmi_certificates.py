@@ -225,11 +225,7 @@ def damaged(document: dict[str, Any], rng: np.random.Generator) -> str:
     document = copy.deepcopy(document)
     claim = document["claims"][rng.integers(len(document["claims"]))]
     plant = document["plants"][claim["plant"]]
-    numbers = [
-        document["gain"],
-        *(plant[name] for name in SHAPES),
-        *(value for value in claim.values() if isinstance(value, list)),
-    ]
+    numbers = [document["gain"], *(plant[name] for name in SHAPES), *(x for x in claim.values() if isinstance(x, list))]
     change = rng.integers(9)
     if change < 4:
         matrix = numbers[rng.integers(len(numbers))]
@@ -251,7 +247,7 @@ def damaged(document: dict[str, Any], rng: np.random.Generator) -> str:
             of_columns = key in ("C", "Cy")
             plant[key] = [[row[i] for i in order] for row in plant[key]] if of_columns else [plant[key][i] for i in order]
     else:
-        del document[str(rng.choice([key for key in ("format", "gain", "plants", "claims")]))]
+        del document[str(rng.choice(["format", "gain", "plants", "claims"]))]
     return dumps(document)
 
 

@@ -4,7 +4,7 @@ Floats propose X. It is rounded to few bits, and `check_certificate.py` decides:
 """
 
 from collections.abc import Iterator
-from fractions import Fraction
+from decimal import ROUND_CEILING
 from itertools import product
 from typing import Any
 
@@ -16,7 +16,7 @@ from models.common.extensions import FEATURES
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of, prove_bound
 from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
-from synth.analysis.lmi_certificate.rational import decimal, exact, floats, rational, rounded_down, rounded_up, rows, shortened
+from synth.analysis.lmi_certificate.rational import decimal, exact, floats, rational, rounded, rows, shortened
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import definiteness
 from synth.analysis.stability import balance, stability
@@ -44,7 +44,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     if not stability(plain.A, dt).stable:
         return None
     norm = hinf_norm(plain).value
-    for level in (bound,) if bound is not None else [rounded_up(norm * (1 + above)) for above in ABOVE]:
+    for level in (bound,) if bound is not None else [rounded(norm * (1 + above), 9, ROUND_CEILING) for above in ABOVE]:
         if not norm < level < np.inf:
             continue
         for X in _bounding(plain, level, norm, known):
@@ -82,14 +82,17 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())
     slowest = -growth if dt is None else 1 + growth
-    trials = [slowest * (1 - less) if dt is None else slowest + less * (1 - slowest) for less in SLOWER]
-    for each in (rate,) if rate is not None else [rounded_down(t, 4) if dt is None else rounded_up(t) for t in trials]:
+    trials = [rounded(slowest * (1 - less), 4) for less in SLOWER]
+    if dt is not None:
+        trials = [rounded(slowest + less * (1 - slowest), 9, ROUND_CEILING) for less in SLOWER]
+    for each in trials if rate is None else (rate,):
         A = plain.A + each * np.eye(len(plain.A)) if dt is None else plain.A / each
         balanced, scale = balance(A)
         noise = np.eye(len(A)) * np.linalg.norm(balanced)
-        solved = (
-            linalg.solve_continuous_lyapunov(balanced, -noise) if dt is None else linalg.solve_discrete_lyapunov(balanced, noise)
-        )
+        if dt is None:
+            solved = linalg.solve_continuous_lyapunov(balanced, -noise)
+        else:
+            solved = linalg.solve_discrete_lyapunov(balanced, noise)
         X = scale[:, None] * (solved + solved.T) / 2 * scale
         for short in shortened(X) if np.all(np.diagonal(X) > 0) else ():
             if definiteness(short).proved and loop.decay(exact(short), decimal(each)):
@@ -105,9 +108,10 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
         bound: the bound.
         X: solution of the Lyapunov inequality that proves the bound.
     """
+    level = decimal(np.nextafter(bound, np.inf))  # at least the bound
     for short in shortened(X):
-        if definiteness(short).proved and loop.energy_to_peak(exact(short), Fraction(bound)):
-            return {"kind": "energy_to_peak", "bound": rational(bound), "X": rows(short)}
+        if definiteness(short).proved and loop.energy_to_peak(exact(short), level):
+            return {"kind": "energy_to_peak", "bound": rational(level), "X": rows(short)}
     return None
 
 

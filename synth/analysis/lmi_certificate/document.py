@@ -25,6 +25,7 @@ from synth.plant.generalized import Plant, law_gain
 
 FORMAT = "LMI certificate 1"
 TWICE = "computed twice"
+MULTIPLIERS = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 LAW_STATE = "controller_state_"
 WEAKER = 1e-7  # relative: a lower bound that is weaker than the claimed one by more is listed
 WORK = 10_000  # cubes of states and outputs of the inequalities that are checked in a second, at least
@@ -95,7 +96,7 @@ class Document:
             claims: the claims; a text or None if there are none.
         """
         if claims is None or isinstance(claims, str):
-            self.leave_out(what, claims or "no short matrix of rational numbers proves it", "none")
+            self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")
             return
         for claim in [claims] if isinstance(claims, dict) else claims:
             self.claims.append({"kind": claim["kind"], "plant": plant, "proof": "exact", **claim})

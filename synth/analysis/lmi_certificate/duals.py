@@ -8,7 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.invariant_point import proof_at
 from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
-from synth.analysis.lmi_certificate.rational import decimal, rational, rounded_down, rows
+from synth.analysis.lmi_certificate.rational import decimal, rational, rounded, rows
 from synth.analysis.lower_bound import DualCertificate, LowerBound, dual_factors
 from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
@@ -51,7 +51,7 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
     """Returns the largest bound up to gamma that is proved, or nearly; 0 if none is proved."""
-    levels = [decimal(gamma), *(decimal(rounded_down(gamma * (1 - less))) for less in LOWER)]
+    levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 

@@ -1,7 +1,7 @@
 """Numbers of LMI certificates: floats as rational numbers in strings, and matrices rounded to few bits."""
 
 from collections.abc import Iterator, Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from decimal import ROUND_FLOOR, Context
 from fractions import Fraction
 
 import numpy as np
@@ -31,14 +31,9 @@ def decimal(value: float) -> Fraction:
     return Fraction(repr(float(value)))
 
 
-def rounded_up(value: float, count: int = 9) -> float:
-    """Returns a number rounded upwards to a number of significant digits."""
-    return float(Context(prec=count, rounding=ROUND_CEILING).create_decimal(value))
-
-
-def rounded_down(value: float, count: int = 15) -> float:
-    """Returns a positive number rounded downwards to a number of significant digits."""
-    return float(Context(prec=count, rounding=ROUND_FLOOR).create_decimal(value))
+def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
+    """Returns a number rounded to significant digits, downwards or in another direction of `decimal`."""
+    return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
 def exact(matrix: Array) -> Matrix:
