@@ -265,8 +265,7 @@ def test_damaged_certificates_prove_nothing_false(seed):
 def certificate_of(car: str, name: str) -> dict[str, Any]:
     """Returns the certificate of a controller of a built-in vehicle."""
     designer = Designer(read_vehicle(car), search=False)
-    found = certificate(designer, designer.design(name))
-    return found
+    return certificate(designer, designer.design(name))
 
 
 FILES = [

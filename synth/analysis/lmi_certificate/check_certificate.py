@@ -126,7 +126,7 @@ def check(text):
     try:
         data, loops, results = json.loads(text), {}, []
         for name, p in data["plants"].items():
-            size = {letter: len({signal["name"]: signal["unit"] for signal in p[key]}) for letter, key in SIGNALS.items()}
+            size = {letter: len({one["name"] + "": one["unit"] + "" for one in p[key]}) for letter, key in SIGNALS.items()}
             plant, K = {key: read(p[key]) for key in SHAPES}, read(data["gain"])
             shapes = [(len(M.rows), len(M.T.rows)) for M in (*plant.values(), K)]  # pyright: ignore[reportAttributeAccessIssue]
             if shapes != [(size[a], size[b]) for a, b in (*SHAPES.values(), "uy")] or not min(size.values()):
