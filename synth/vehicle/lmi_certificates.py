@@ -37,6 +37,7 @@ from synth.vehicle.verification import Verification, shifted_plant
 
 PERFORMANCE = "performance"  # the plant of [performance]
 CHECKERS = ("check_certificate.py", "check_certificate.html")
+MOST_STATES = 40  # of a loop: the proof of more takes minutes
 SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
 ROAD = "the response to a road is computed in floating point"
@@ -64,6 +65,8 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
         own_states = judged.states
     else:
         (plant, gain), k, base, own_states = with_law(problem.plant, own), own.states, problem.of_states, problem.states
+    if len(plant.A) > MOST_STATES:
+        return _without_claims(controller, about, f"the loop has {len(plant.A)} states, more than {MOST_STATES}")
     document, q = Document(gain, k), len(gain[0]) - k
     measured = [_signal(vehicle, name) for name in (*controller.measured, *(f"integral_{i + 1}" for i in range(q)))[:q]]
     names = _names(vehicle, controller, own_states, measured)

@@ -139,7 +139,7 @@ def check(text):
             arguments = {key: value if key == "of" else read(value) for key, value in claim.items()}
             results.append((f"{kind} {claim.get('bound', '')}".strip(), getattr(loop, kind)(**arguments)))
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        return 2, f"NO CERTIFICATE: {error!r:.99}"
+        return 2, f"NO CERTIFICATE, or no exact claim: {error!r:.80}"
     except ZeroDivisionError:
         results = [("a loop that has no solution", False)]
     false = [words for words, proved in results if not proved]
