@@ -26,7 +26,7 @@ from synth.analysis.uncertainty_box import BoxProof
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import CSource
-from synth.controller.problem import road_twist_inputs
+from synth.controller.problem import plant_states, road_twist_inputs
 from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.uncertainty.worst_case import stable_with_errors
 from synth.plant.generalized import Plant
@@ -83,8 +83,10 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
         document.leave_out("norm of the sampled-data loop", SAMPLED)
     for promise in controller.robustness:
         document.leave_out(promise.what, MULTIPLIERS)
-    if entry is not None and entry.goals is not None and not own.states:
+    if entry is not None and entry.goals is not None and base is not None and not own.states:
         _add_goals(document, vehicle, entry, own.D, names)
+    elif controller.specifications:
+        document.leave_out("goals of the section", "this format has the goals of static gains", "none")
     return document.record(controller.name, about)
 
 
@@ -159,16 +161,17 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
         document.leave_out("largest ratio to a vehicle's own best", "the best of each vehicle is found by a search", "none")
     for i, (member, which) in enumerate(zip(asked.members, verification.names, strict=True)):
 
-        def loop(what: str, plant: Plant, outputs: list[Signal], which: str = which) -> tuple[str, ExactLoop]:
+        def loop(what: str, plant: Plant, of: Vehicle, outputs: list[Signal], which: str = which) -> tuple[str, ExactLoop]:
+            states = [_signal(of, name) for name in plant_states(of, entry.hardware.bandwidth)[: len(plant.A)]]
             name = f"{which}: {what}" if which else what
-            return name, document.loop(name, plant, {**names, "outputs": outputs})
+            return name, document.loop(name, plant, {**names, "states": states, "outputs": outputs})
 
         for norm, spec in norms:
             if spec.band != EVERYWHERE:
                 document.leave_out(f"{which} {norm.text}".strip(), BAND)
                 continue
-            outputs = _outputs(with_outputs_of_norm(vehicle, norm))
-            name, closed = loop(PERFORMANCE if norm.signals is None else norm.text, member.posed[spec.which], outputs)
+            of = with_outputs_of_norm(vehicle, norm)
+            name, closed = loop(PERFORMANCE if of is vehicle else norm.text, member.posed[spec.which], of, _outputs(of))
             if which or norm.signals is not None:
                 document.add(name, norm.text, norm_claim(closed))
             if asked.has_errors:
@@ -176,7 +179,8 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
                 claims = box_claims(closed, proof) if isinstance(proof, BoxProof) else MULTIPLIERS
                 document.add(name, f"{norm.text}, with errors", claims)
         for bound in (bound for bound in goals.bounds if isinstance(bound, DecayBound)):
-            name, closed = loop("vehicle without filters", member.posed[0].without_weighting, _outputs(vehicle))
+            of = with_outputs_of_norm(vehicle, goals.minimise)
+            name, closed = loop("plant without filters", member.posed[0].without_weighting, of, _outputs(of))
             document.add(name, "decay", decay_claim(closed, rate=bound.decay) or decay_claim(closed))
             if asked.has_errors:
                 moved = shifted_plant(member.posed[0], bound.decay)
@@ -184,11 +188,11 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
                 claims = box_claims(closed, proof, bound.decay) if isinstance(proof, BoxProof) else MULTIPLIERS
                 document.add(name, "decay, with errors", claims)
         energies = [bound.energy_peak for bound in goals.bounds if isinstance(bound, EnergyBound)]
-        for signal, of in zip(member.signals, energies, strict=True):
-            plant = member.posed[asked.minimise.which]
+        for signal, peak in zip(member.signals, energies, strict=True):
+            plant, of = member.posed[asked.minimise.which], with_outputs_of_norm(vehicle, goals.minimise)
             C, D = signal.c[None], signal.g[None]
             plant = replace(plant, C=C, D=D, Dw=np.zeros((1, plant.Bw.shape[1])))
-            name, closed = loop(f"peak of {of}", plant, [_signal(vehicle, of)])
+            name, closed = loop(f"peak of {peak}", plant, of, [_signal(vehicle, peak)])
             try:
                 peaks = energy_peaks(plant, plant.acting(K) @ plant.Cy, C, D)
             except DesignError as error:

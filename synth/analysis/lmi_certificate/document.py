@@ -52,6 +52,13 @@ def plain_names(plant: Plant) -> Names:
     return {key: [(f"{letter}{i + 1}", "1") for i in range(counts[letter])] for letter, key in SIGNALS.items()}
 
 
+def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
+    """Returns signals as JSON; a name that occurs again has a number."""
+    names = [name for name, _ in signals]
+    before = [names[:i].count(name) for i, name in enumerate(names)]
+    return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
+
+
 @dataclass
 class Document:
     """A certificate under construction: claims about plants under one gain.
@@ -80,9 +87,7 @@ class Document:
         """
         law = [(f"{LAW_STATE}{i + 1}", "1") for i in range(self.law_states)]
         more = {"states": law, "measurements": law, "inputs": [(f"next_{one}", unit) for one, unit in law]}
-        signals = {
-            key: [{"name": one, "unit": unit} for one, unit in [*names[key], *more.get(key, [])]] for key in SIGNALS.values()
-        }
+        signals = {key: _distinct([*names[key], *more.get(key, [])]) for key in SIGNALS.values()}
         period = None if plant.dt is None else rational(decimal(plant.dt))
         self.plants[name] = {"sample_period": period, **signals} | {key: rows(getattr(plant, key)) for key in SHAPES}
         return exact_loop(plant, self.gain)
