@@ -10,7 +10,7 @@ from models.common.printed import Whole
 
 SUFFIXES = (".png", ".svg", ".pdf")  # of pictures
 OPTIONS = {"report": "out"}  # options whose name differs from the output's
-FOLDERS = ("logs", "figures")
+FOLDERS = ("logs", "figures", "certificates")
 ENDINGS = {  # allowed suffixes, and the reason
     "picture": (SUFFIXES, "this kind of picture cannot be written"),
     "report": ((".html", ".htm"), "a report is HTML"),

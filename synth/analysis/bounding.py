@@ -10,7 +10,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.extensions import FEATURES
 from models.laws.linear import LinearLaw
-from synth.analysis.certificate import Certificate, LmiProof, certify, eta_of, prove_bound
+from synth.analysis.certificate import Certificate, certify, eta_of, prove_bound
 from synth.analysis.stability import balance
 from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import numerics
@@ -25,8 +25,6 @@ ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a share of the mar
 EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # noise on every state, as a share of the disturbance's power, so that X > 0
 LOOSE = (1.0, 10.0, 100.0)  # margins if rounding leaves no closer proof, as for a z in which large states cancel
 LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)  # with LOOSE: noise as a share of z's power, more on states that z observes less
-ROOMY = 1e3  # times rounding; what an inequality must be beyond it for others' arithmetic to see its sign
-ROOM, SHARE, FILLED = 1e-4, 0.1, (1e-2, 1e-3, 1e-4, 1e-6)  # a margin of the bound, its share that is noise, and that everywhere
 UNOBSERVABLE = 1e-14  # relative to the largest: a smaller observability is rounding
 
 
@@ -73,34 +71,6 @@ def certify_tightly(
 def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" = None) -> Certificate:
     """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
     return certify_tightly(*plant.with_law(law), lower_bound, plant_without_law=plant)
-
-
-def roomy_proof(certificate: Certificate) -> LmiProof | None:
-    """Returns a proof that plain floats can check: that of a certificate, or one of a bound 0.01 % above the norm.
-
-    `certify_tightly` proves bounds so close to the norm that (20) is negative by little more than rounding. The loop's rounded
-    matrices serve here: what is beyond their rounding a thousand times holds of the exact ones.
-
-    Returns:
-        The proof; that of the certificate where no other has such a margin, or the loop is discrete.
-    """
-    proof, loop, norm = certificate.proof, certificate.loop, certificate.norm.value
-    if proof is None or not proof.holds or loop.dt is not None or _is_roomy(proof) or not 0 < norm < np.inf:
-        return proof
-    for everywhere in FILLED:
-        try:
-            gamma = norm * (1 + ROOM)
-            X = bounding_x(loop, gamma, SHARE * ROOM, everywhere)
-            other = prove_bound(loop, np.zeros((loop.B.shape[1], len(loop.A))), X, eta_of(gamma))
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        if other.holds and _is_roomy(other):
-            return other
-    return proof
-
-
-def _is_roomy(proof: LmiProof) -> bool:
-    return proof.negative.smallest > ROOMY * proof.negative.rounding
 
 
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:

@@ -62,25 +62,34 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
     return (best, at) if best else None
 
 
-@np.errstate(all="ignore")  # infinities and NaN prove nothing
 def limit_at(plant: Plant, omega: float) -> float:
     """Returns a proved norm of a plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
+    return proof_at(plant, omega)[0]
+
+
+@np.errstate(all="ignore")  # infinities and NaN prove nothing
+def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
+    """Returns the norm of `limit_at` and the pair that proves it.
+
+    Returns:
+        The norm, and the real parts of q and p above their imaginary parts, integers of shape (2 (n + d),); see `_equations`.
+    """
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
     solutions = Nullspace(np.vstack([np.hstack([real, imaginary]), np.hstack([imaginary, -real])]))
     if not solutions.free:
-        return 0.0
+        return 0.0, zeros(0)
     outputs = [*range(n, n + d), *range(2 * n + d, 2 * (n + d))]
 
-    def proved(guess: Array) -> float:
+    def proved(guess: Array) -> tuple[float, Array]:
         if not np.all(np.isfinite(guess)):
-            return 0.0
+            return 0.0, zeros(0)
         solution = solutions.complete(integers(guess[:, None])[0])
         effect = product(solution.T, from_w)
         length = int(np.sum(solution[outputs] ** 2))
         with contextlib.suppress(OverflowError):
-            return root_below(Fraction(int(np.sum(effect**2)), unit**2 * length)) if length else 0.0
-        return 0.0
+            return root_below(Fraction(int(np.sum(effect**2)), unit**2 * length)) if length else 0.0, solution[:, 0]
+        return 0.0, zeros(0)
 
     p, q = _guess(plant, omega)
     best = proved(np.concatenate([np.real(q), np.real(p), np.imag(q), np.imag(p)])[solutions.free])
@@ -89,7 +98,7 @@ def limit_at(plant: Plant, omega: float) -> float:
     whole, over = without_factors(solutions.complete(identity(len(solutions.free))))
     basis = floats(whole, Fraction(1, over))
     effects = basis.T @ floats(from_w, Fraction(1, unit))
-    return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, effects)))
+    return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, effects)), key=lambda one: one[0])
 
 
 def without_control(plant: Plant, omega: float) -> float:

@@ -158,8 +158,12 @@ class _Dual:
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
-def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
-    """Returns the dual solution of a certificate, or None if it proves nothing."""
+def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
+    """Returns L of the dual solution W = L L' of a certificate, T and Y of `_Dual`; None if they are not finite.
+
+    Raises:
+        ValueError: the certificate does not have the plant's shape.
+    """
     a, n = side.J.shape
     if certificate.X.shape != (n, n):
         raise ValueError(f"a dual certificate has X of shape {certificate.X.shape}; expected {(n, n)}")
@@ -171,9 +175,19 @@ def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | No
         T = np.linalg.cholesky(X) if len(X) else np.zeros((0, 0))
         Y = np.linalg.inv(T).T
         L = _factor((np.eye(len(X)), part.Q, part.b, part.c) if part is not None else side.floats(), T, certificate.eta)
-        if not (np.all(np.isfinite(L)) and np.all(np.isfinite(T)) and np.all(np.isfinite(Y))):
-            return None
-        return _evaluate_dual(side, L, T, Y) if part is None else _enclose_factors(part, L, T, Y)
+    except (np.linalg.LinAlgError, OverflowError):
+        return None
+    return (L, T, Y) if all(np.all(np.isfinite(each)) for each in (L, T, Y)) else None
+
+
+@np.errstate(all="ignore")
+def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
+    """Returns the dual solution of a certificate, or None if it proves nothing."""
+    factors, part = dual_factors(side, certificate), side.antistable
+    if factors is None:
+        return None
+    try:
+        return _evaluate_dual(side, *factors) if part is None else _enclose_factors(part, *factors)
     except (np.linalg.LinAlgError, OverflowError):
         return None
 

@@ -97,6 +97,8 @@ class SynthesisInequality:
         coordinates: indices of a states, in which J is diagonal.
         U, Q, b, c: shapes (k, a), (k, a), (k, r), (k, d); integers over `scale`, Q and b also over `unit`.
         unit, scale: powers of two.
+        N: basis of all q with [B; D]' q = 0 that is orthogonal to the directions without cost, up to a factor: integers, shape
+            (n + d, k).
     """
 
     J: Array
@@ -107,6 +109,7 @@ class SynthesisInequality:
     c: Array
     unit: int
     scale: int
+    N: Array
 
     @classmethod
     def of(cls, plant: Plant) -> "SynthesisInequality":
@@ -126,7 +129,7 @@ class SynthesisInequality:
         b, c = product(low, system[:, n + m :]), low[:, n:]
         if plant.dt is not None:
             U, Q, b, c, unit, scale = Q + unit * U, Q - unit * U, 2 * b, unit * c, 2, scale * unit
-        return cls(J=J.T, coordinates=at, U=U, Q=Q, b=b, c=c, unit=unit, scale=scale)
+        return cls(J=J.T, coordinates=at, U=U, Q=Q, b=b, c=c, unit=unit, scale=scale, N=basis)
 
     @cached_property
     def antistable(self) -> AntistablePart | None:

@@ -72,7 +72,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     Raises:
         InputError: options that do not apply to this vehicle, or files that cannot be written.
     """
-    check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
+    check_outputs(
+        {"picture": options.picture, "save": options.save, "certificates": options.certificates}, vehicle.files, options.json
+    )
     if options.save:
         _check_save(vehicle, names, options)
     designs = designs_of(vehicle, names, options)
@@ -82,6 +84,11 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
         bounds = {row.name: row.sampled_below for row in designs.rows}
         save(options.save, vehicle, [row.controller for row in designs.rows if row.controller is not None], bounds)
+    if options.certificates:
+        from synth.command.certificates import write_certificates
+
+        write_certificates(options.certificates, vehicle, [row.controller for row in designs.rows if row.controller is not None])
+        outputs |= {"certificates": options.certificates}
     if options.json:
         print_json({**RECORD(designs), **output_paths(outputs)})
     else:

@@ -14,16 +14,18 @@ from models.common.files import made_folder, together, whole_file
 from models.common.printed import Whole, pasted_path, say, show
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
+from synth.command.certificates import write_certificates
 from synth.command.save import SUFFIX, left_out_lines, saved_text
 from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
 from synth.controller.export.fmu_model import FmuModel, law_model, linear_model
-from synth.controller.export.folder import CERTIFICATE, VEHICLE, files, read_folder
+from synth.controller.export.folder import CERTIFICATE, CERTIFICATES, VEHICLE, files, read_folder
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
+from synth.vehicle.lmi_certificates import certificate_texts
 
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 
@@ -58,7 +60,8 @@ def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> 
     name, saved, own = _one(vehicle, options, vehicle.controller_names, "--export writes one controller")
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix(c_name(name)), _ranges(options.ranges))
-    return saved, law, files(saved, driver, law)
+    certificates = certificate_texts(saved, [driver], law) if driver.linear is True else {}
+    return saved, law, files(saved, driver, law, certificates)
 
 
 def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
@@ -121,8 +124,10 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
             part.write_bytes(mat_file(vehicle, controllers))
         with whole_file(beside, "export") as part:
             part.write_text(script(file.name, vehicle, controllers), encoding="utf-8", newline="\n")
+        proofs = file.with_name(f"{c_name(file.stem)}_certificates")
+        certificates = write_certificates(proofs, vehicle, controllers)
     structs = struct_names(controllers)
-    return {"files": [str(file), str(beside)], "structs": structs}, [
+    return {"files": [str(file), str(beside), *(str(proofs / name) for name in certificates)], "structs": structs}, [
         f"{file}: one struct for each controller, and the struct vehicle with the plant",
         *(
             f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, measures {', '.join(one.measured)}; "
@@ -132,6 +137,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
         *left_out_lines(left_out),
         "",
         f"{beside}: a MATLAB script that makes an ss object from each struct",
+        f"{proofs}: an LMI certificate of each controller, and programs that check them",
     ]
 
 
@@ -194,7 +200,8 @@ def _loop(vehicle: Vehicle, options: Namespace) -> FmuContent:
         law = f"the continuous counterpart (Tustin's method) of the discrete controller {own}"
     title = f"{kind}, linear, with {law}"
     model = linear_model(identifier, title, saved, loop_system(saved, controller))
-    return model, {VEHICLE: saved.text}, _about(model)
+    certificates = {f"{CERTIFICATES}/{name}": text for name, text in certificate_texts(saved, [controller]).items()}
+    return model, {VEHICLE: saved.text, **certificates}, _about(model)
 
 
 def _about(model: FmuModel) -> str:

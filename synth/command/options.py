@@ -15,7 +15,7 @@ AXES_HELP = (
 )
 
 ALONE = {  # what an option does, and the options that it can be combined with
-    "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture")),
+    "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture", "certificates")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),
     "export": ("writes one controller", ("controller", "vehicle", "numbers", "range", "part", "fmi")),
@@ -30,6 +30,7 @@ examples:
   python -m synth --vehicle half_car --controller I --json
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
+  python -m synth --controller I --certificates proofs
   python -m synth --controller I --export ecu --numbers float
   python -m synth --export car.mat
   python -m synth --controller I --export controller.fmu
@@ -98,6 +99,13 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--save", type=Path, metavar="FILE", help="write the vehicle file with each designed gain as controller NAME_designed"
+    )
+    parser.add_argument(
+        "--certificates",
+        type=Path,
+        metavar="DIR",
+        help="write an LMI certificate of each controller to a folder: its claims as JSON, and programs in Python and JavaScript "
+        "that check them in exact arithmetic without Roadproof",
     )
     parser.add_argument("--prove", action="store_true", help="also prove a bound for each law that the vehicle file contains")
     parser.add_argument(

@@ -173,7 +173,7 @@ class Verification:
         for i, member in enumerate(self.problem.members):
             beyond, errors = worst_of_norm(self.problem, i, None, rate, self.K)
             rates.append(max(_slowest(errors.on(member.plants[0]), self.K), slowest[i]))
-            moved = _shifted_plant(member.plants[0], rate)
+            moved = shifted_plant(member.plants[0], rate)
             proofs.append(stable_with_errors(moved, self.K, tolerance.sensors, tolerance.forces) if beyond < 1 else None)
         of = [(each, -rate if proof is not None else np.inf) for each, proof in zip(rates, proofs, strict=True)]
         return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
@@ -207,7 +207,7 @@ def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float
     return norm.value, norm.level, norm.peak_frequency
 
 
-def _shifted_plant(plant: Plant, rate: float) -> Plant:
+def shifted_plant(plant: Plant, rate: float) -> Plant:
     """Returns the plant without its filters, shifted: its loops are stable if those of this one decay faster than a rate."""
     alone = plant.without_weighting
     return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))

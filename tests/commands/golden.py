@@ -32,7 +32,7 @@ MAP = ("--vary", "height:0.02:0.3:2", *STEP)
 CASES = {  # the cases of each command: their names and options
     "synth": {
         "plain": (),
-        "limits": (*ONE, *LIMITS),
+        "limits": (*ONE, *LIMITS, "--certificates", "proofs"),
         "damper": (*ONE, *DAMPER[:2]),
         "fragility": (*ONE, "--fragility"),
         "rates": (*ONE, "--rates", "5"),

@@ -76,6 +76,7 @@ def test_names_and_bytes(folder):
 
 
 def test_json_names_the_files(tmp_path, capsys):
-    """--json names the files."""
+    """--json names the files, certificates among them."""
     assert main(["--controller", "I_printed", "--export", str(tmp_path / "x.mat"), "--json"]) == 0
-    assert "x_ss.m" in prose(capsys.readouterr().out)
+    printed = prose(capsys.readouterr().out)
+    assert all(name in printed for name in ("x_ss.m", "x_certificates/I_printed.json", "x_certificates/check_certificate.py"))

@@ -91,7 +91,7 @@ sampled data: norm, bound, designs, rates                      2069   1235    11
     synth/analysis/sampled_*.py synth/design/sampled_data.py synth/lmi/sampled_bound.py
     synth/vehicle/sample_rate/* synth/command/sample_rate.py synth/controller/implementation_norm.py
     tests/*/test_{sampled_*}.py docs/{how-to/sampled-data-design,explanation/sampled-and-continuous}.md
-export: C99, fixed point, FMI, MATLAB                          3286   1445     96
+export: C99, fixed point, FMI, MATLAB                          3314   1446     97
     synth/controller/export/** synth/command/export*.py sim/drive/drivers/code.py
     sim/runs/code_effect.py tests/support/cortex_m4.py tests/*/test_{code_in_the_loop,export*}.py docs/how-to/export.md
 full-order H-infinity                                           915    741    114
@@ -100,23 +100,26 @@ full-order H-infinity                                           915    741    11
 static search, descent, refine                                 2074    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
+LMI certificates that anybody can check                         909    351    103
+    synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
+    tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
 two steps, LMI path                                            2734   1013     35
     synth/design/{__init__,degenerate,two_step}.py synth/vehicle/paper.py synth/command/cross_check.py
     tests/support/active_suspension.py
     synth/lmi/{__init__,barrier,central_path,full_order_bound,output_nulling,sdp,structured_barrier,un*}.py
     tests/*/test_{central,paper,slicot,structured,two_steps_of_any_plant}.py docs/explanation/control-problem.md
-certificates, norms, lower bounds                              3409   2293     68
+certificates, norms, lower bounds                              3405   2293     46
     synth/analysis/{__init__,band_norm,bounding,certificate,energy_to_peak,interpolation,invariant_point,lower_bound,norm,record}.py
     synth/analysis/{rigorous,specification,stability,synthesis_inequality}.py synth/command/check.py tests/support/exactly.py
     tests/*/test_{certificate,exact_proofs,false_certificates,lower_bound,no_controller*,noise,norm,stability,zeros}.py
     docs/explanation/bound-norm-lower-bound.md
-plant algebra, filters, any plant                              3012   2131    322
+plant algebra, filters, any plant                              3012   2127    322
     synth/plant/* models/laws/{design_methods,filter}.py synth/design/{feedback,methods,problem}.py
     synth/vehicle/state_space.py
     tests/support/weighted.py
     tests/*/test_{any_plant,convert,design,design_feedback,discrete,filters,loop,methods,state_space,weights}.py
     docs/how-to/{any-linear-plant,weights,when-hinfsyn-fails}.md
-synth command, controller record, designer                     3374    650    179
+synth command, controller record, designer                     3386    650    181
     synth/{README.md,__init__.py,__main__.py} synth/command/{__init__,design_table,options,responses,save,table}.py
     synth/controller/{__init__,controller,law_margins,loop_of,problem,report}.py
     synth/vehicle/{__init__,certified_vehicle,design_problem,designer,expected_ride}.py
@@ -168,7 +171,7 @@ commands that drive                                            1043    989    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5232   1582
+house, pages, benchmarks                                          0   5225   1584
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

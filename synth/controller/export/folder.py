@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from synth.controller.report import study_notes
 VECTORS, SEED = 1000, 20261126
 INVALID = 50  # test vectors from one with an input that is not finite to the next
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
+CERTIFICATES = "certificates"  # the folder of LMI certificates
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
 
@@ -47,8 +48,15 @@ def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> di
     return found
 
 
-def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, str]:
-    """Returns the text of every file, by its path in the folder."""
+def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificates: Mapping[str, str]) -> dict[str, str]:
+    """Returns the text of every file, by its path in the folder.
+
+    Args:
+        vehicle: the vehicle whose file is in the folder.
+        driver: controller of that vehicle.
+        law: the law as it is exported.
+        certificates: LMI certificates and the programs that check them, by name; empty for none.
+    """
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
     source = CSource(law, sha256(record))
     texts = {
@@ -58,7 +66,8 @@ def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str
         "test/vectors.csv": vectors(law),
         CERTIFICATE: record,
         VEHICLE: vehicle.text,
-        "README.md": _readme(vehicle, driver, law),
+        "README.md": _readme(vehicle, driver, law, certificates),
+        **{f"{CERTIFICATES}/{name}": text for name, text in certificates.items()},
     }
     texts[MANIFEST] = "".join(f"{sha256(text)}  {name}\n" for name, text in sorted(texts.items()))
     return texts
@@ -80,7 +89,7 @@ def _digits(law: ExportedLaw, value: Any) -> str:
     return np.format_float_scientific(NUMBERS[law.numbers](value), unique=True, trim="0")
 
 
-def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
+def _readme(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificates: Mapping[str, str]) -> str:
     p, how, tick = law.name, vehicle.implementation, "`"
     source = CSource(law, "")
     about = zip(law.inputs, source.in_units, law.meanings, strict=True)
@@ -123,7 +132,7 @@ All signals are measured from static equilibrium; upwards is positive. {" ".join
 
 ## What is certified
 
-{_claims(vehicle, driver, law)}
+{_claims(vehicle, driver, law)}{_lmi_certificates(certificates)}
 
 ## The code
 
@@ -138,6 +147,18 @@ cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 
 - `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder shows if a file was changed.
 """
+
+
+def _lmi_certificates(certificates: Mapping[str, str]) -> str:
+    """Returns what README.md says of LMI certificates."""
+    if not certificates:
+        return ""
+    file = next(iter(certificates))
+    return (
+        f"\n\n`{CERTIFICATES}/{file}` contains plant, gain and proofs as exact numbers. Check it without Roadproof:\n\n"
+        f"```sh\npython {CERTIFICATES}/check_certificate.py {CERTIFICATES}/{file}\n```\n\n"
+        f"`{CERTIFICATES}/check_certificate.html` does the same in a browser."
+    )
 
 
 def _whole_numbers(law: ExportedLaw) -> str:

@@ -1,0 +1,1 @@
+"""LMI certificates: claims about controllers as JSON that anybody can check in rational arithmetic."""

@@ -1,0 +1,135 @@
+"""Upper bounds as claims of LMI certificates, each with an X that proves it in rational arithmetic, as short as possible.
+
+Floats propose X. It is rounded to few bits, and `check_certificate.py` decides: each claim here is one that the checker proves.
+"""
+
+from collections.abc import Iterator
+from decimal import ROUND_CEILING
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.extensions import FEATURES
+from synth.analysis.bounding import bounding_x
+from synth.analysis.certificate import eta_of, prove_bound
+from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
+from synth.analysis.lmi_certificate.rational import decimal, exact, floats, rational, rounded, rows, shortened
+from synth.analysis.norm import hinf_norm
+from synth.analysis.rigorous import definiteness
+from synth.analysis.stability import balance, stability
+from synth.analysis.uncertainty_box import BoxProof
+from synth.plant.generalized import Plant
+
+Claim = dict[str, Any]
+
+NOISE = (0.3, 1e-1, 1e-3)  # of `bounding_x`, as a share of the bound's distance from the norm
+EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # likewise, on every state
+ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of a bound from the norm, if none is given
+SLOWER = (1e-3, 1e-2, 0.1)  # relative distance of a rate from the decay of the slowest pole, if none is given
+
+
+def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
+    """Returns the claim that a loop is stable with a norm below a bound; None if it is not proved.
+
+    Args:
+        loop: the loop.
+        dt: seconds between samples; None for a continuous loop.
+        bound: the bound; just above the norm if it is not given.
+        known: an X that proves the bound, if one is known.
+    """
+    plain = floats(loop, dt)
+    if not stability(plain.A, dt).stable:
+        return None
+    norm = hinf_norm(plain).value
+    for level in (bound,) if bound is not None else [rounded(norm * (1 + above), 9, ROUND_CEILING) for above in ABOVE]:
+        if not norm < level < np.inf:
+            continue
+        for X in _bounding(plain, level, norm, known):
+            for short in shortened(X):
+                near = prove_bound(plain, np.zeros((0, len(X))), short, eta_of(level)).holds
+                if near and loop.norm(exact(short), decimal(level)):
+                    return {"kind": "norm", "bound": rational(decimal(level)), "X": rows(short)}
+    return None
+
+
+def _bounding(loop: Plant, level: float, norm: float, known: Array | None) -> Iterator[Array]:
+    """Yields matrices that may prove a bound on the norm of a loop."""
+    turned = hinf_norm(loop).peak_frequency * (loop.dt or 0.0) > np.pi / 2
+    image = FEATURES.load("discrete plants").continuous_loop(loop, turned=turned)
+    margin = min(level / norm - 1, 1.0) if norm else 1.0
+    for more, everywhere in product(NOISE, EVERYWHERE):
+        try:
+            X = (loop.dt or 1.0) * bounding_x(image, level, more * margin, everywhere)
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if np.all(np.diagonal(X) > 0):
+            yield X
+    if known is not None:
+        yield known
+
+
+def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = None) -> Claim | None:
+    """Returns the claim that all poles of a loop decay faster than a rate; None if it is not proved.
+
+    Args:
+        loop: the loop.
+        dt: seconds between samples; None for a continuous loop.
+        rate: rate of decay [1/s], or largest |z|; near the slowest pole if it is not given.
+    """
+    plain = floats(loop, dt)
+    growth = float(stability(plain.A, dt).growth.max())
+    slowest = -growth if dt is None else 1 + growth
+    trials = [rounded(slowest * (1 - less), 4) for less in SLOWER]
+    if dt is not None:
+        trials = [rounded(slowest + less * (1 - slowest), 9, ROUND_CEILING) for less in SLOWER]
+    for each in trials if rate is None else (rate,):
+        A = plain.A + each * np.eye(len(plain.A)) if dt is None else plain.A / each
+        balanced, scale = balance(A)
+        noise = np.eye(len(A)) * np.linalg.norm(balanced)
+        if dt is None:
+            solved = linalg.solve_continuous_lyapunov(balanced, -noise)
+        else:
+            solved = linalg.solve_discrete_lyapunov(balanced, noise)
+        X = scale[:, None] * (solved + solved.T) / 2 * scale
+        for short in shortened(X) if np.all(np.diagonal(X) > 0) else ():
+            if definiteness(short).proved and loop.decay(exact(short), decimal(each)):
+                return {"kind": "decay", "rate": rational(decimal(each)), "X": rows(short)}
+    return None
+
+
+def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
+    """Returns the claim that a disturbance of energy 1 keeps the length of z within a bound; None if it is not proved.
+
+    Args:
+        loop: the loop, without feedthrough from w to z.
+        bound: the bound.
+        X: solution of the Lyapunov inequality that proves the bound.
+    """
+    level = decimal(np.nextafter(bound, np.inf))  # at least the bound
+    for short in shortened(X):
+        if definiteness(short).proved and loop.energy_to_peak(exact(short), level):
+            return {"kind": "energy_to_peak", "bound": rational(level), "X": rows(short)}
+    return None
+
+
+def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
+    """Returns a claim for each part of a box of relative errors, about a norm or a decay; None if one is not proved.
+
+    Args:
+        loop: the loop without errors.
+        proof: the box with its parts, each with an X.
+        rate: rate of decay that the parts prove [1/s]; None if they prove the bound of the norm.
+    """
+    what = {"of": "norm", "bound": decimal(proof.bound)} if rate is None else {"of": "decay", "rate": decimal(rate)}
+    claims = list[Claim]()
+    for box, X in proof.parts:
+        low, high = ([[decimal(x) for x in ends]] for ends in (box.low, box.high))
+        short = next((M for M in shortened(X) if loop.box(low=Matrix(low), high=Matrix(high), X=exact(M), **what)), None)
+        if short is None:
+            return None
+        texts = {key: value if isinstance(value, str) else rational(value) for key, value in what.items()}
+        claims.append({"kind": "box", **texts, "low": rows(low), "high": rows(high), "X": rows(short)})
+    return claims

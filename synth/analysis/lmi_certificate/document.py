@@ -1,0 +1,166 @@
+"""LMI certificates of any plant: the plant, the gain and their claims as JSON.
+
+A law with states, x_c' = A x_c + B y, u = C x_c + D y, is the gain [D, C; B, A] of the plant with its states: x_c' = v, x_c is
+measured. A discrete law of a continuous plant is judged by its counterpart of Tustin's method, the same gain of another plant.
+With a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v, the transfer from v to x_c is (a - s) / (a + s), which is Tustin's 1 / z.
+So the file contains the numbers of the law itself in either case.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from operator import mul
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import digits
+from models.laws.linear import LinearLaw
+from synth.analysis.certificate import Certificate
+from synth.analysis.lmi_certificate.check_certificate import SHAPES, SIGNALS, ExactLoop
+from synth.analysis.lmi_certificate.claims import Claim, decay_claim, norm_claim
+from synth.analysis.lmi_certificate.duals import lower_bound_claim
+from synth.analysis.lmi_certificate.rational import decimal, exact_loop, rational, rows
+from synth.plant.generalized import Plant, law_gain
+
+FORMAT = "LMI certificate 1"
+TWICE = "computed twice"
+MULTIPLIERS = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
+LAW_STATE = "controller_state_"
+WEAKER = 1e-7  # relative: a lower bound that is weaker than the claimed one by more is listed
+WORK = 10_000  # cubes of states and outputs of the inequalities that are checked in a second, at least
+
+Signal = tuple[str, str]  # name and unit
+Names = Mapping[str, Sequence[Signal]]  # signals by `SIGNALS`
+
+
+def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
+    """Returns the plant with the states of a law, and the law as a gain on its measurements."""
+    n, (q, m), k = len(plant.A), plant.Dyu.shape, law.states
+    larger, gain = plant.with_states(k), law_gain(law)
+    if not k or law.sample_period is None or plant.dt is not None:
+        return larger, gain
+    A, Cy, Dyu = larger.A.copy(), larger.Cy.copy(), larger.Dyu.copy()
+    own, rate = np.arange(k), 2 / law.sample_period
+    A[n + own, n + own], Cy[q + own, n + own], Dyu[q + own, m + own] = -rate, 2 * rate, -1.0
+    return replace(larger, A=A, Cy=Cy, Dyu=Dyu), gain
+
+
+def plain_names(plant: Plant) -> Names:
+    """Returns x1, x2, ... for signals without names."""
+    counts = dict(zip("xuwzy", (len(plant.A), plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(plant.Cy)), strict=True))
+    return {key: [(f"{letter}{i + 1}", "1") for i in range(counts[letter])] for letter, key in SIGNALS.items()}
+
+
+def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
+    """Returns signals as JSON; a name that occurs again has a number."""
+    names = [name for name, _ in signals]
+    before = [names[:i].count(name) for i, name in enumerate(names)]
+    return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
+
+
+@dataclass
+class Document:
+    """A certificate under construction: claims about plants under one gain.
+
+    Attributes:
+        gain: the gain from measurements, with the states of the law, shape (m + k, q + k).
+        law_states: number k of states of the law.
+        plants: plants by name, as JSON.
+        claims: proved claims.
+        not_exact: claims that the file cannot prove, each with the reason.
+    """
+
+    gain: Array
+    law_states: int = 0
+    plants: dict[str, Any] = field(default_factory=dict)
+    claims: list[Claim] = field(default_factory=list)
+    not_exact: list[dict[str, str]] = field(default_factory=list)
+
+    def loop(self, name: str, plant: Plant, names: Names) -> ExactLoop:
+        """Returns the loop of the gain with a plant, which the file then contains.
+
+        Args:
+            name: name of the plant in the file.
+            plant: plant with the states of the law.
+            names: names and units of its signals, without those of the law.
+        """
+        law = [(f"{LAW_STATE}{i + 1}", "1") for i in range(self.law_states)]
+        more = {"states": law, "measurements": law, "inputs": [(f"next_{one}", unit) for one, unit in law]}
+        signals = {key: _distinct([*names[key], *more.get(key, [])]) for key in SIGNALS.values()}
+        period = None if plant.dt is None else rational(decimal(plant.dt))
+        self.plants[name] = {"sample_period": period, **signals} | {key: rows(getattr(plant, key)) for key in SHAPES}
+        return exact_loop(plant, self.gain)
+
+    def add(self, plant: str, what: str, claims: Claim | Sequence[Claim] | str | None) -> None:
+        """Adds claims about a plant, or the reason why there is no proof.
+
+        Args:
+            plant: name of the plant.
+            what: the claim in words.
+            claims: the claims; a text or None if there are none.
+        """
+        if claims is None or isinstance(claims, str):
+            self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")
+            return
+        for claim in [claims] if isinstance(claims, dict) else claims:
+            self.claims.append({"kind": claim["kind"], "plant": plant, "proof": "exact", **claim})
+
+    def leave_out(self, what: str, reason: str, proof: str = TWICE) -> None:
+        """Lists a claim that the file does not prove."""
+        self.not_exact.append({"claim": what, "proof": proof, "reason": reason})
+
+    def add_certificate(self, name: str, plant: Plant, loop: ExactLoop, certificate: Certificate, of: Plant | None) -> None:
+        """Adds the claims of a certificate: the bound of the norm, the decay and the lower bound.
+
+        Args:
+            name: name of the plant.
+            plant: plant with the states of the law.
+            loop: loop of the gain with this plant.
+            certificate: the certificate.
+            of: plant of the lower bound, which has the first states; None to leave that bound out.
+        """
+        proof, below = certificate.proof, certificate.below
+        if certificate.stable:
+            self.add(name, "bound of the norm", norm_claim(loop, plant.dt, certificate.bound, None if proof is None else proof.X))
+            self.add(name, "decay", decay_claim(loop, plant.dt))
+        else:
+            self.leave_out("stability", f"the loop is {certificate.stability.words}", "none")
+        if below is not None and below.gamma:
+            claim = lower_bound_claim(of, loop, below) if of is not None else "the plant of this bound has other states"
+            self.add(name, f"lower bound {digits(below.gamma)}", claim)
+            if isinstance(claim, dict) and (proved := float(claim["bound"])) < below.gamma * (1 - WEAKER):
+                self.leave_out(f"lower bound {digits(below.gamma)}", f"rational numbers prove {digits(proved)}", "none")
+
+    def record(self, controller: str, about: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the certificate as JSON."""
+        ends = [(claim.get("low", [[]]), claim.get("high", [[]])) for claim in self.claims]
+        corners = [2 ** sum(a != b for a, b in zip(*low, *high, strict=True)) for low, high in ends]
+        sizes = [sum(len(self.plants[claim["plant"]][key]) ** 3 for key in ("states", "outputs")) for claim in self.claims]
+        return {
+            "format": FORMAT,
+            "controller": controller,
+            **about,
+            "check": "python check_certificate.py FILE.json, or open check_certificate.html in a browser and drop the file",
+            "seconds_to_check": 1 + sum(map(mul, corners, sizes)) // WORK,
+            "claims": self.claims,
+            "not_exact": self.not_exact,
+            "gain": rows(self.gain),
+            "plants": self.plants,
+        }
+
+
+def plant_certificate(name: str, plant: Plant, law: LinearLaw, certificate: Certificate) -> dict[str, Any]:
+    """Returns the LMI certificate of a law on the measurements of any plant.
+
+    Args:
+        name: name of the controller.
+        plant: plant with measurements, continuous or discrete.
+        law: the law.
+        certificate: certificate of their loop, such as `certify_law` returns.
+    """
+    larger, gain = with_law(plant, law)
+    document = Document(gain, law.states)
+    loop = document.loop("plant", larger, plain_names(plant))
+    document.add_certificate("plant", larger, loop, certificate, plant.without_feedthrough)
+    return document.record(name, {})

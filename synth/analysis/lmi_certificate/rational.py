@@ -1,0 +1,66 @@
+"""Numbers of LMI certificates: floats as rational numbers in strings, and matrices rounded to few bits."""
+
+from collections.abc import Iterator, Sequence
+from decimal import ROUND_FLOOR, Context
+from fractions import Fraction
+
+import numpy as np
+
+from models.common.arrays import Array
+from synth.analysis.lmi_certificate.check_certificate import SHAPES, ExactLoop, Matrix
+from synth.plant.generalized import Plant
+
+LONG = 10**20  # a denominator that no short decimal fraction has
+BITS = (10, 14, 18, 24, 32, 44, 53)  # of an entry, relative to its diagonal
+
+
+def rational(value: float | Fraction) -> str:
+    """Returns a number exactly: an integer, a decimal fraction of at most 17 digits, or p/q."""
+    exact = Fraction(value)
+    short = repr(float(exact)) if 1 < exact.denominator < LONG else ""
+    return short if short and "e" not in short and Fraction(short) == exact else str(exact)
+
+
+def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
+    """Returns a matrix of floats or rational numbers exactly."""
+    return [[rational(entry) for entry in row] for row in matrix]
+
+
+def decimal(value: float) -> Fraction:
+    """Returns the decimal number that a float prints as."""
+    return Fraction(repr(float(value)))
+
+
+def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
+    """Returns a number rounded to significant digits, downwards or in another direction of `decimal`."""
+    return float(Context(prec=count, rounding=direction).create_decimal(value))
+
+
+def exact(matrix: Array) -> Matrix:
+    """Returns a matrix of floats as rational numbers."""
+    return Matrix([Fraction(float(x)) for x in row] for row in matrix)
+
+
+def exact_loop(plant: Plant, K: Array) -> ExactLoop:
+    """Returns the loop u = K y of a plant in rational arithmetic, as the checker computes it.
+
+    Raises:
+        ZeroDivisionError: the loop through the measurements has no solution.
+    """
+    return ExactLoop({name: exact(getattr(plant, name)) for name in SHAPES} | {"sampled": plant.dt is not None}, exact(K))
+
+
+def floats(loop: ExactLoop, dt: float | None) -> Plant:
+    """Returns a loop from w to z, each entry rounded once."""
+    n = len(loop.I.rows)
+    S, W = (np.array(M.rows, dtype=float) for M in (loop.S, loop.W))
+    return Plant.without_inputs(S[:n], W[:n], S[n:], W[n:], dt=dt)
+
+
+def shortened(X: Array) -> Iterator[Array]:
+    """Yields a symmetric matrix of positive diagonal with more and more bits, at last with all."""
+    size = 2.0 ** np.round(np.log2(np.diagonal(X)) / 2)
+    for bits in BITS[:-1]:
+        unit = np.outer(size, size) * 2.0**-bits
+        yield np.rint(X / unit) * unit
+    yield (X + X.T) / 2

@@ -1,0 +1,28 @@
+"""`python -m synth --certificates DIR`: LMI certificates in a folder, with the programs that check them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.common.errors import InputError
+from models.common.files import made_folder, together, whole_file
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.vehicle.lmi_certificates import certificate_texts
+
+OPTION = "certificates"
+
+
+def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
+    """Writes the certificates of controllers to a folder; returns the names of the files.
+
+    Raises:
+        InputError: no controller measures anything, or the folder cannot be written.
+    """
+    texts = certificate_texts(vehicle, controllers)
+    if not texts:
+        raise InputError(f"--certificates {folder}: no controller measures anything; give one that does")
+    with made_folder(folder, OPTION), together():
+        for name, text in texts.items():
+            with whole_file(folder / name, OPTION) as part:
+                part.write_text(text, encoding="utf-8", newline="\n")
+    return [*texts]
