@@ -171,7 +171,7 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
                 document.leave_out(f"{which} {norm.text}".strip(), BAND)
                 continue
             of = with_outputs_of_norm(vehicle, norm)
-            name, closed = loop(PERFORMANCE if of is vehicle else norm.text, member.posed[spec.which], of, _outputs(of))
+            name, closed = loop(PERFORMANCE if of is vehicle else norm.text, member.plants[spec.which], of, _outputs(of))
             if which or norm.signals is not None:
                 document.add(name, norm.text, norm_claim(closed))
             if asked.has_errors:
@@ -180,16 +180,16 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
                 document.add(name, f"{norm.text}, with errors", claims)
         for bound in (bound for bound in goals.bounds if isinstance(bound, DecayBound)):
             of = with_outputs_of_norm(vehicle, goals.minimise)
-            name, closed = loop("plant without filters", member.posed[0].without_weighting, of, _outputs(of))
+            name, closed = loop("plant without filters", member.plants[0].without_weighting, of, _outputs(of))
             document.add(name, "decay", decay_claim(closed, rate=bound.decay) or decay_claim(closed))
             if asked.has_errors:
-                moved = shifted_plant(member.posed[0], bound.decay)
+                moved = shifted_plant(member.plants[0], bound.decay)
                 proof = stable_with_errors(moved, K, tolerance.sensors, tolerance.forces)
                 claims = box_claims(closed, proof, bound.decay) if isinstance(proof, BoxProof) else MULTIPLIERS
                 document.add(name, "decay, with errors", claims)
         energies = [bound.energy_peak for bound in goals.bounds if isinstance(bound, EnergyBound)]
         for signal, peak in zip(member.signals, energies, strict=True):
-            plant, of = member.posed[asked.minimise.which], with_outputs_of_norm(vehicle, goals.minimise)
+            plant, of = member.plants[asked.minimise.which], with_outputs_of_norm(vehicle, goals.minimise)
             C, D = signal.c[None], signal.g[None]
             plant = replace(plant, C=C, D=D, Dw=np.zeros((1, plant.Bw.shape[1])))
             name, closed = loop(f"peak of {peak}", plant, of, [_signal(vehicle, peak)])
