@@ -130,7 +130,9 @@ class Confirmation:
             for i, one in enumerate(candidates)
         ]
 
-    def _rating(self, one: Candidate, runs: Sequence[tuple[bool, dict[str, float], dict[str, tuple[float, float]]]], failed: bool) -> Rating:
+    def _rating(
+        self, one: Candidate, runs: Sequence[tuple[bool, dict[str, float], dict[str, tuple[float, float]]]], failed: bool
+    ) -> Rating:
         task, room = self.task, self.task.room
         if failed or not all(through for through, *_ in runs):
             return Rating(score_of(one.vehicle, one.name, {}).values, Usage(math.inf, math.inf, 1.0, 0.0, 1.0))
@@ -142,7 +144,9 @@ class Confirmation:
             for name, (bump, rebound) in room.strokes.items()
         )
         pushing = one.controller.acts and not one.vehicle.dampers
-        force = max((max(-ends[name][0], ends[name][1]) / most for *_, ends in runs for name, most in room.forces.items()), default=0.0)
+        force = max(
+            (max(-ends[name][0], ends[name][1]) / most for *_, ends in runs for name, most in room.forces.items()), default=0.0
+        )
         lifted = float(max((value.max() for name, value in metrics.items() if name.endswith("off_ground")), default=0.0))
         gain, disk = ANY
         if pushing and is_linear(one.controller, one.vehicle):

@@ -18,7 +18,7 @@ from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
 from models.vehicle.vehicle import Vehicle
-from sim.studies.recommend.optimal import given_law
+from sim.studies.recommend.optimal import uncertified
 from sim.studies.recommend.task import Candidate, Task
 
 EXACT = 1e-6  # relative: of a sensor that is a sum of the body's velocities, or of their rates
@@ -106,7 +106,7 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], wit
         A = np.block([[A, np.zeros((p, k))], [np.zeros((k, p)), -FASTEST * np.eye(k)]])
         B, C, D, measured = into, states, direct, [*measured, *sensors.travels.values()]
         text += f", travel {own.mean():.0f} N s/m and {stiffness.mean():.0f} N/m"
-    controller = given_law(task, name, measured, LinearLaw(A, B, C, D))
+    controller = uncertified(task, name, measured, LinearLaw(A, B, C, D))
     return Candidate(name, name, controller, task.vehicle, text)
 
 

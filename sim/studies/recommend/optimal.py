@@ -14,21 +14,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
-from models.laws.design_methods import FULL, PREVIEW
+from models.laws.design_methods import FULL
 from models.laws.design_request import DesignRequest
 from models.laws.filter import WEIGHTINGS, Filter
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry, DesignConditions
-from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.sections import WeightedSum
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.task import Task, body_rows
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, on_readings
+from synth.controller.problem import problem
+from synth.design.full_order.quadratic import lqg_law
 from synth.vehicle.designer import Designer
 
 WK = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
-USUAL: Mapping[str, float] = {"ride": -1.0, "travel": -1.5, "tyre": -2.5, "force": -1.0, "load": -2.0, "noise": 0.0}  # powers of e
+LQG = "lqg"
+USUAL: Mapping[str, float] = {
+    "ride": -1.0,
+    "travel": -1.5,
+    "tyre": -2.5,
+    "force": -1.0,
+    "load": -2.0,
+    "noise": 0.0,
+}  # powers of e
 FREE = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # the weight that a goal fixes at 1
 
 
@@ -104,48 +112,51 @@ def weighted_vehicle(task: Task, weights: Weights) -> Vehicle:
 
 
 def design(
-    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str = "lqg", preview: float = 0.0
+    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str = LQG, preview: float = 0.0
 ) -> Controller:
     """Returns the controller of a method for these weights, as the vehicle's own file has it.
 
     Args:
-        method: "lqg", "full" (H-infinity of full order), "" (the two steps), or "preview".
+        method: `LQG`, "full" (H-infinity of full order), "" (the two steps), or "preview".
         preview: time by which the road is known ahead [s].
 
     Raises:
         DesignError, InputError: there is no such controller.
     """
     car = weighted_vehicle(task, weights)
-    bandwidth, loads = car.limits.actuator_bandwidth, ()
-    if method in ("lqg", FULL) and weights.load > -20:
-        size = float(np.exp(weights.load)) * sum(task.static_loads.values())
-        loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
-    noise = [float(np.exp(weights.noise)) * level for level in task.noise_of(measured)]
-    if method == "lqg":  # one second per sample makes the levels those of white noise, over the road's own
-        levels = {signal: level / task.white for signal, level in zip(measured, noise, strict=True)}
-        car, noise = replace(car, implementation=Implementation(sample_period=1.0, noise=levels)), []
-    elif method == FULL:
-        noise = [level / task.white for level in noise]
-    else:
-        noise = []
-    request = DesignRequest(design=method, preview=preview if method == PREVIEW else 0.0)
-    entry = ControllerEntry(name, tuple(measured), request, hardware=DesignConditions(tuple(noise), bandwidth, loads))
-    car = replace(car, controllers={name: entry})
-    found = Designer(car, search=False).design(name)
-    return with_own_hardware(task, found)
+    bandwidth, size = car.limits.actuator_bandwidth, float(np.exp(weights.load)) * sum(task.static_loads.values())
+    loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
+    noise = tuple(float(np.exp(weights.noise)) * level / task.white for level in task.noise_of(measured))
+    if method == LQG:
+        posed = problem(car, measured, DesignConditions(bandwidth=bandwidth, loads=loads))
+        law = lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements])
+        return uncertified(task, name, measured, on_readings(law, posed))
+    conditions = DesignConditions(noise, bandwidth, loads) if method == FULL else DesignConditions(bandwidth=bandwidth)
+    request = DesignRequest(design=method, preview=preview)
+    entry = ControllerEntry(name, tuple(measured), request, hardware=conditions)
+    found = Designer(replace(car, controllers={name: entry}), search=False).design(name)
+    return replace(found, hardware=own_hardware(task))
 
 
-def with_own_hardware(task: Task, controller: Controller) -> Controller:
-    """Returns a controller for the lag of the vehicle's own actuators, without loads and noise."""
-    conditions = DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
-    return replace(controller, hardware=conditions)
+def own_hardware(task: Task) -> DesignConditions:
+    """Returns the conditions of certificates: the lag of the vehicle's own actuators."""
+    return DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
 
 
-def given_law(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
-    """Returns the controller of a law in numbers.
+def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
+    """Returns the controller of a law for a search, in which certificates would take most of the time.
+
+    It has the certificate of the passive vehicle until `certified` computes its own.
+    """
+    return Controller(name, tuple(measured), law, True, task.passive.certificate, hardware=own_hardware(task))
+
+
+def certified(task: Task, controller: Controller) -> Controller:
+    """Returns a controller with its certificate for the weights of the vehicle file.
 
     Raises:
-        InputError: the law does not fit, or has no loop.
+        InputError: the law has no loop.
     """
-    conditions = DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
-    return Designer(task.line, search=False).certify(name, tuple(measured), law, conditions)
+    car = task.vehicle.with_force_actuators if task.vehicle.dampers else task.vehicle
+    found = Designer(car, search=False).certify(controller.name, controller.measured, controller.law, own_hardware(task))
+    return replace(found, designed=True)

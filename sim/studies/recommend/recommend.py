@@ -18,7 +18,8 @@ from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.bound import lower_bound
 from sim.studies.recommend.confirm import Confirmation
-from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.optimal import certified
+from sim.studies.recommend.rating import Rating, rate_expected, with_ideal_margins
 from sim.studies.recommend.search import (
     MORE_SHARES,
     SHARES,
@@ -30,7 +31,7 @@ from sim.studies.recommend.search import (
     semi_active_laws,
     sensor_families,
 )
-from sim.studies.recommend.task import Candidate, Goal, Task
+from sim.studies.recommend.task import Candidate, Task
 from sim.studies.recommend.within import Within, read_within
 from synth.controller.controller import Controller
 from synth.plant.numerics import DesignError
@@ -175,7 +176,6 @@ class _Work:
 
     def run(self) -> None:
         """Searches and drives all candidates."""
-        self._own()
         self._families()
         if not self.task.vehicle.dampers:
             self._progress("lower bound")
@@ -192,10 +192,8 @@ class _Work:
             self._progress(f"best expected {self.task.goal} so far: {best:.3g}")
 
     def _own(self) -> None:
-        """Adds the passive vehicle and the controllers of the file."""
+        """Adds the controllers of the file."""
         task, vehicle = self.task, self.task.vehicle
-        passive = Candidate(PASSIVE, PASSIVE, task.passive, vehicle, "as it is")
-        self._add(passive, rate_expected(task, passive))
         for name in without_copies(vehicle.controllers):
             self._progress(f"`{name}` of the file")
             car = vehicle.with_actuators_of(name)
@@ -213,12 +211,15 @@ class _Work:
 
     def _families(self) -> None:
         task, start = self.task, None
+        passive = Candidate(PASSIVE, PASSIVE, task.passive, task.vehicle, "as it is")
+        self._add(passive, rate_expected(task, passive))
         for family in families(task):
             one = replace(family, start=family.begin(start)) if family.begin else family
             found = search(task, one, self._progress)
             self._take(family, found)
             best = found.best(task)
             start = best[2] if best is not None else None
+        self._own()
         for candidate in semi_active_laws(task):
             self._add(candidate, None)
         for family, found in optimal_laws(task, self._progress):
@@ -247,15 +248,21 @@ class _Work:
             self._take(family, found)
 
     def _certify(self) -> None:
-        """Replaces the certificates of the best rows, which are of their designs' weights, by those of the file's weights."""
-        from sim.studies.recommend.optimal import given_law
-
-        for row in self.rows()[:3]:
+        """Gives the best candidate of each family its certificate, and the margins of its ideal loop."""
+        self._progress("certificates")
+        for row in self.rows():
             one = row.candidate
-            if isinstance(one.controller, Controller) and one.controller.acts and not one.own and one.controller.preview is None:
-                law = given_law(replace(self.task), one.name, one.controller.measured, one.controller.law)
-                changed = replace(one, controller=law)
-                self.expected[changed], self.driven[changed] = self.expected.pop(one), self.driven.pop(one)
+            if (
+                one.own
+                or not isinstance(one.controller, Controller)
+                or not one.controller.acts
+                or one.controller.preview is not None
+            ):
+                continue
+            changed = replace(one, controller=certified(self.task, one.controller))
+            rating = self.driven.pop(one)
+            usage = rating.usage if one.vehicle.dampers else with_ideal_margins(self.task, changed.controller, rating.usage)
+            self.expected[changed], self.driven[changed] = self.expected.pop(one), replace(rating, usage=usage)
 
     def rows(self) -> list[Row]:
         """Returns the best candidate of each family, ranked."""
@@ -275,9 +282,7 @@ class _Work:
             if not math.isfinite(rating.value(self.task)):
                 left.setdefault(one.name, "a run breaks off in MuJoCo")
         roads = len(self.confirmation.seeds)
-        return Recommendation(
-            self.task, tuple(self.rows()), self.sensors, self.bound, left, self.reserve, roads, interrupted
-        )
+        return Recommendation(self.task, tuple(self.rows()), self.sensors, self.bound, left, self.reserve, roads, interrupted)
 
 
 def _family(row: Row) -> str:

@@ -1,12 +1,13 @@
 """Search of the weights or numbers of every family, on the exact expectation over the road, by the simplex of Nelder and Mead.
 
-Every family has a fixed number of evaluations, so the search finds the same candidates on any machine. Of all evaluated
-candidates of a family, the best ones for several shares of stroke and force are driven: MuJoCo has stops and clipped forces, which
-the expectation leaves out.
+Every family has a fixed number of evaluations, so the search finds the same candidates on any machine. The best candidates of a
+family for several shares of stroke and force are driven: MuJoCo has stops and clipped forces, which the expectation leaves out.
+The simplex of LQG begins anew for each share, at the best point so far.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from string import ascii_lowercase
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.design_methods import FULL, PREVIEW
 from sim.studies.recommend.laws import body_sensors, changed_passive, semi_active, skyhook
-from sim.studies.recommend.optimal import design, searched, usual_point, weights_of
+from sim.studies.recommend.optimal import LQG, design, searched, usual_point, weights_of
 from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.task import Candidate, Task
 from synth.plant.numerics import DesignError
 
 UNSTABLE = 1e3  # value of a point without a stable loop
-STEP = 1.0  # of the first simplex
+STEP, RESTART = 1.0, 0.4  # of the first simplex, and of later ones
 LARGE_PLANT = 10  # states; above, families have fewer evaluations
 MOST_ALONE = 4  # groups of sensors of which each is tried alone
 PREVIEWS = (0.1, 0.3)  # s, by which the road is known ahead
@@ -37,6 +38,7 @@ class Family:
         start: point at which the search begins, shape (k,).
         build: function of a point; returns the candidate.
         evaluations: number of evaluated points; 1 for the start alone.
+        shares: shares of stroke and force for which it is searched, one after the other.
         begin: function of the best point of the family before, or None; returns another start. None to begin at `start`.
     """
 
@@ -45,6 +47,7 @@ class Family:
     build: Callable[[Array], Candidate]
     evaluations: int
     begin: Callable[[Array | None], Array] | None = None
+    shares: tuple[float, ...] = (1.0,)
 
 
 @dataclass(eq=False)
@@ -79,7 +82,7 @@ def search(task: Task, family: Family, progress: Callable[[str], None]) -> Searc
 
     found = Search()
 
-    def value(x: Array) -> float:
+    def value(x: Array, share: float = 1.0) -> float:
         try:
             candidate = family.build(x)
             rating = rate_expected(task, candidate)
@@ -90,23 +93,28 @@ def search(task: Task, family: Family, progress: Callable[[str], None]) -> Searc
             found.failure = found.failure or "the implemented loop is unstable"
             return UNSTABLE
         found.rated.append((candidate, rating, np.array(x)))
-        return min(rating.penalised(task), UNSTABLE)
+        return min(rating.penalised(task, share), UNSTABLE)
 
     progress(family.name)
     if family.evaluations <= 1 or not len(family.start):
         value(family.start)
         return found
-    simplex = np.vstack([family.start, family.start + STEP * np.eye(len(family.start))])
-    options = {"maxfev": family.evaluations, "initial_simplex": simplex, "xatol": 1e-2, "fatol": 1e-4}
-    optimize.minimize(value, family.start, method="Nelder-Mead", options=options)
+    for share in family.shares:
+        best = found.best(task, share)
+        start = family.start if best is None else best[2]
+        simplex = np.vstack([start, start + (STEP if best is None else RESTART) * np.eye(len(start))])
+        options = {"maxfev": family.evaluations // len(family.shares), "initial_simplex": simplex, "xatol": 1e-2, "fatol": 1e-4}
+        optimize.minimize(value, start, (share,), "Nelder-Mead", options=options)
     return found
 
 
-def optimal_family(task: Task, name: str, measured: Sequence[str], evaluations: int, start: Array, method: str = "lqg") -> Family:
+def optimal_family(task: Task, name: str, measured: Sequence[str], evaluations: int, start: Array, method: str = LQG) -> Family:
     """Returns the family of optimal laws of some sensors."""
 
     def build(x: Array) -> Candidate:
-        return Candidate(name, name, design(task, name, measured, weights_of(task, x), method), task.vehicle, weight_text(task, x))
+        return Candidate(
+            name, name, design(task, name, measured, weights_of(task, x), method), task.vehicle, weight_text(task, x)
+        )
 
     return Family(name, start, build, evaluations)
 
@@ -120,7 +128,7 @@ def families(task: Task) -> Iterator[Family]:
     """Yields the families of a task but those of optimal laws, in the order of their cost."""
     few = len(task.line.linear_model.states) > LARGE_PLANT
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x), 16)
-    yield Family("best damper and spring", np.zeros(2), lambda x: changed_passive(task, "best damper and spring", x), 40)
+    yield Family("damper and spring", np.zeros(2), lambda x: changed_passive(task, "damper and spring", x), 40)
     sensors = body_sensors(task)
     if sensors is None:
         return
@@ -142,7 +150,7 @@ def families(task: Task) -> Iterator[Family]:
 def optimal_laws(task: Task, progress: Callable[[str], None]) -> Iterator[tuple[Family, Search]]:
     """Yields the families of optimal laws of all sensors with their searches: LQG, preview, H-infinity."""
     few, measured = len(task.line.linear_model.states) > LARGE_PLANT, task.sensors
-    lqg = optimal_family(task, "LQG", measured, 70 if few else 160, usual_point(task))
+    lqg = optimal_family(task, "LQG", measured, 120 if few else 240, usual_point(task))
     found = search(task, lqg, progress)
     yield lqg, found
     best = found.best(task)
@@ -157,7 +165,7 @@ def optimal_laws(task: Task, progress: Callable[[str], None]) -> Iterator[tuple[
 
             one = Family(name, start, ahead, 12 if few else 24)
             yield one, search(task, one, progress)
-    for name, method, count in (("H-infinity", FULL, 8 if few else 16), ("H-infinity, static", "", 6 if few else 10)):
+    for name, method, count in (("H-infinity", FULL, 3 if few else 10), ("H-infinity, static", "", 3 if few else 6)):
         one = optimal_family(task, name, measured, count, start, method)
         yield one, search(task, one, progress)
 
@@ -173,10 +181,10 @@ def sensor_families(task: Task, start: Array | None) -> Iterator[tuple[tuple[str
     subsets = dict.fromkeys([*alone, *(tuple(one for one in groups if one != name) for name in groups)])
     for some in subsets:
         if some and len(some) < len(groups):
-            name = f"LQG, {' + '.join(some)}"
+            name = f"LQG, {''.join(letter for letter, one in zip(ascii_lowercase, groups, strict=False) if one in some)}"
             measured = [signal for one in some for signal in groups[one]]
             begin = usual_point(task) if start is None else start
-            yield some, optimal_family(task, name, measured, 20 if few else 80, begin)
+            yield some, optimal_family(task, name, measured, 60 if few else 150, begin)
 
 
 def semi_active_laws(task: Task) -> list[Candidate]:

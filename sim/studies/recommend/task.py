@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -16,6 +16,7 @@ from models.roads.road import Road, track_width
 from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.runs.run import sample_times
 from sim.studies.recommend.within import FORCE, TRAVEL, Room, Within
 from sim.studies.ride.expected import ExpectedMetrics, expect
 from synth.controller.controller import AnyController, Controller
@@ -45,7 +46,7 @@ class Task:
     vehicle: Vehicle
     road: Road
     goal: Goal = "ride"
-    within: Within = Within()
+    within: Within = field(default_factory=Within)
     timestep: float = 1e-3
 
     @property
@@ -55,6 +56,11 @@ class Task:
             return self.road.spectrum
         speed = self.road.speed or 20.0
         return Iso8608(USUAL_CLASS, speed=speed, track_width=track_width(self.vehicle)).spectrum
+
+    @property
+    def sample_times(self) -> Array:
+        """Sample times of the longest runs [s]."""
+        return sample_times(self.vehicle, WINDOW, self.timestep)
 
     @cached_property
     def coarse_step(self) -> float:
@@ -151,7 +157,7 @@ class Task:
 
     @cached_property
     def sensors(self) -> tuple[str, ...]:
-        """Sensors that the file has: signals with noise, and those that its controllers measure; else travel and accelerations."""
+        """Sensors of the file: signals with noise or in a controller; without any, travel and accelerations."""
         model, how = self.vehicle.linear_model, self.vehicle.implementation
         named = dict.fromkeys([*how.noise, *how.quantisation])
         for one in self.vehicle.controllers.values():
@@ -180,7 +186,7 @@ class Task:
 
 
 def body_rows(vehicle: Vehicle, names: Sequence[str]) -> Array:
-    """Returns orthogonal sums of some signals with the same sum of squares, as coefficients of the signals, shape (k, signals)."""
+    """Returns orthogonal sums of some signals with the same sum of squares, a row of coefficients each, shape (k, signals)."""
     C, D = vehicle.linear_model.rows(names)
     turned, sizes, _ = np.linalg.svd(np.hstack([C, D]), full_matrices=False)
     return turned.T[sizes > 1e-9 * sizes[0]]

@@ -47,11 +47,11 @@ class Within:
         if self.force is not None:
             shares["force"] = usage.force / (self.force * room)
         if self.gain_margin is not None:
-            shares["gain margin"] = math.log(self.gain_margin) / max(math.log(usage.gain_margin), 1e-9)
+            shares["gain"] = math.log(self.gain_margin) / max(math.log(usage.gain_margin), 1e-9)
         if self.disk is not None:
             shares["disk"] = self.disk / max(usage.disk, 1e-9)
         if self.off_ground is not None:
-            shares["off ground"] = usage.off_ground / self.off_ground if self.off_ground else math.inf * usage.off_ground
+            shares["lift"] = usage.off_ground / self.off_ground if self.off_ground else math.inf * bool(usage.off_ground)
         return {name: 0.0 if math.isnan(share) else share for name, share in shares.items()}
 
     @property
