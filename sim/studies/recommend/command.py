@@ -81,6 +81,7 @@ examples:
         from models.document.outputs import check_outputs
         from models.vehicle.names import named_files
         from models.vehicle.vehicle import read_vehicle
+        from sim.runs.run import sample_times
         from sim.studies.recommend.recommend import recommendation
         from sim.studies.recommend.save import save
         from sim.studies.recommend.task import Task
@@ -92,7 +93,7 @@ examples:
         text = options.road or f"iso8608:class={(options.road_class or 'C').upper()}"
         road = FEATURES.load("roads by name").choose_road(text).build(vehicle, options.speed, 0, options.speed * LONGEST_RUN)
         task = Task(vehicle, road, options.goal, read_within(options.within or ""), options.timestep)
-        road.check(vehicle, task.sample_times)
+        road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
         result = recommendation(task, progress)
         if options.save is not None and not result.interrupted:

@@ -1,7 +1,8 @@
-"""Rating of a candidate in linear analysis: expected metrics over the road, and margins of the implemented loop."""
+"""Rating of a candidate in linear analysis: expected metrics over the road, and margins of its loops."""
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,14 +14,12 @@ from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Candidate, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import expect
 from sim.studies.ride.standing import score_of
-from synth.controller.controller import AnyController, Controller
+from synth.controller.controller import Controller
 from synth.controller.disk_margin import disk_margin
-from synth.controller.law_margins import law_margins
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.state_space import StateSpace
 
-FACTORS = np.geomspace(1.0, MOST_GAIN, 61)[1:]
-ANY = (MOST_GAIN, 2.0)  # margins of a loop without forces
+FACTORS = np.geomspace(1.0, MOST_GAIN, 81)[1:]
 EXCESS = 4.0  # factor on the excess over limits in the penalty of a search
 
 
@@ -30,83 +29,64 @@ class Rating:
 
     Attributes:
         values: columns of the comparison of controllers, by key [SI]; None if the vehicle lacks it or a run broke off.
-        usage: what it uses of its limits.
+        usage: use of the limits.
     """
 
     values: Mapping[str, float | None]
     usage: Usage
 
     def value(self, task: Task) -> float:
-        """Returns the value that the goal minimises; infinite if there is none."""
+        """Returns the value that the goal minimises; infinite for a run that broke off."""
         value = self.values.get(GOALS[task.goal])
         return math.inf if value is None else value
 
-    def used(self, task: Task, reserve: float = 0.0) -> dict[str, float]:
-        """Returns how much of each limit is used, 1 at the limit, by name."""
-        return task.within.used(self.usage, reserve)
-
-    def keeps(self, task: Task, reserve: float = 0.0) -> bool:
-        """Returns True if all limits are kept."""
-        return math.isfinite(self.value(task)) and all(share <= 1 for share in self.used(task, reserve).values())
-
     def penalised(self, task: Task, share: float = 1.0) -> float:
-        """Returns the value with a penalty for each limit that is exceeded.
-
-        Args:
-            share: share of stroke and force that may be used.
-        """
-        excess = sum(max(0.0, min(one, 10.0) - 1) for one in self.used(task, 1 - share).values())
+        """Returns the value with a penalty for limits that are exceeded if a share of stroke and force may be used."""
+        excess = sum(max(0.0, min(one, 10.0) - 1) for one in task.within.used(self.usage, share).values())
         return self.value(task) * (1 + EXCESS * excess)
 
 
 def rate_expected(task: Task, candidate: Candidate) -> Rating | None:
     """Returns the rating of a candidate over the random road of the designs; None if its loop is unstable or not linear."""
-    controller = candidate.controller
-    if controller.linear is not True:
+    one = candidate.controller
+    if one.linear is not True:
         return None
-    if changed := candidate.vehicle is not task.vehicle and not controller.acts:
-        car = replace(candidate.vehicle, implementation=candidate.vehicle.implementation.without_noise)
-    else:
-        car = task.line
-    if controller.acts and radius(loop_of(car, controller, task.coarse_step)) >= 1:
+    changed = candidate.vehicle is not task.vehicle and not one.acts
+    car = replace(candidate.vehicle, implementation=candidate.vehicle.implementation.without_noise) if changed else task.line
+    if radius(loop_of(car.linearised, one, task.coarse_step)) >= 1:
         return None
-    expected = expect(car, controller, task.spectrum, task.coarse_step, ROADS * WINDOW)
+    expected, usual = expect(car, one, task.spectrum, task.coarse_step, ROADS * WINDOW), task.expected_passive
     if expected is None:
         return None
-    mean, room = expected.mean, task.room
-    score = score_of(task.pushed, candidate.name, mean)
-    stroke = 0.0
-    for name, (bump, rebound) in room.strokes.items():
-        offset = expected.line.mean.get(name, 0.0) if changed else task.offset(name)
-        peak = mean[f"{name}_peak"] - (abs(offset) if changed else 0.0)
+    mean, stroke = expected.mean, 0.0
+    for name, (bump, rebound) in task.strokes.items():
+        offset = (expected if changed or usual is None else usual).line.mean.get(name, 0.0)
+        peak = mean[f"{name}_peak"] - abs(expected.line.mean.get(name, 0.0))
         stroke = max(stroke, (peak - offset) / bump, (peak + offset) / rebound)
-    force = max((mean[f"{name}_peak"] / most for name, most in room.forces.items()), default=0.0) if controller.acts else 0.0
-    gain, disk = margins_of(car, controller, task.coarse_step)
-    return Rating(score.values, Usage(stroke, force, gain, disk, score.values.get("off_ground") or 0.0))
+    force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
+    values = score_of(task.pushed, candidate.name, mean).values
+    return Rating(values, Usage(stroke, force, *margins_of(task, one), values.get("off_ground") or 0.0))
 
 
-def margins_of(car: Vehicle, controller: Controller, timestep: float) -> tuple[float, float]:
-    """Returns gain and disk margin of the implemented loop, cut at all forces."""
+def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
+    """Returns the smaller gain and disk margins of the implemented and the ideal loop, cut at all forces."""
     if not controller.acts:
-        return ANY
-    loop = loop_of(car, controller.feedback, timestep)
-    cut = loop.cut(loop.forces)
-    both = np.concatenate([FACTORS, 1 / FACTORS])
-    growing = np.abs(np.linalg.eigvals(cut.loop_matrix(both))).max(axis=-1).reshape(2, -1) > 1 + 1e-9
-    first = [FACTORS[int(np.argmax(row))] if row.any() else MOST_GAIN for row in growing]
-    try:
-        # The bilinear transform keeps the largest gain of the loop.
-        law = LinearLaw(cut.A, cut.B, cut.C, cut.D, loop.period).continuous()
-    except InputError:
-        return float(min(first)), 0.0
-    disk = disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size
-    return float(min(first)), disk
+        return MOST_GAIN, 2.0
+    pairs = [_margins(task.line, controller.feedback, task.coarse_step)]
+    with suppress(InputError):  # measurements contain the force at once, and the ideal loop has no solution
+        pairs.append(_margins(task.line, controller.feedback, None))
+    gains, disks = zip(*pairs, strict=True)
+    return min(gains), min(disks)
 
 
-def with_ideal_margins(task: Task, controller: AnyController, usage: Usage) -> Usage:
-    """Returns the use of limits with the margins of the ideal loop, too, which other commands print."""
-    if controller.linear is not True or not controller.acts:
-        return usage
-    ideal = law_margins(task.line, controller)
-    gain = min(ideal.gain, 1 / ideal.gain_lower if ideal.gain_lower else math.inf, usage.gain_margin)
-    return replace(usage, gain_margin=gain, disk=usage.disk if ideal.disk is None else min(usage.disk, ideal.disk))
+def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tuple[float, float]:
+    loop = loop_of(car, controller, timestep)
+    cut, both = loop.cut(loop.forces), np.concatenate([FACTORS, 1 / FACTORS, [1.0]])
+    poles = np.linalg.eigvals(cut.loop_matrix(both))
+    growing = (np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9).any(axis=-1)
+    if growing[-1]:
+        return 1.0, 0.0
+    rows = growing[:-1].reshape(2, -1)
+    gain = float(min(FACTORS[int(np.argmax(row))] if row.any() else MOST_GAIN for row in rows))
+    law = LinearLaw(cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()  # Tustin keeps the largest gain
+    return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size
