@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
@@ -19,7 +20,8 @@ from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of, radius
 from synth.plant.state_space import StateSpace
 
-FACTORS = np.geomspace(1.0, MOST_GAIN, 81)[1:]
+FACTORS, HALVINGS = np.geomspace(1.0, MOST_GAIN, 33)[1:], 6
+NEARLY = 1e-7
 EXCESS = 4.0  # factor on the excess over limits in the penalty of a search
 
 
@@ -82,11 +84,22 @@ def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
 def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tuple[float, float]:
     loop = loop_of(car, controller, timestep)
     cut, both = loop.cut(loop.forces), np.concatenate([FACTORS, 1 / FACTORS, [1.0]])
-    poles = np.linalg.eigvals(cut.loop_matrix(both))
-    growing = (np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9).any(axis=-1)
+
+    def grows(factors: Array) -> Array:
+        poles = np.linalg.eigvals(cut.loop_matrix(factors))
+        return (np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9).any(axis=-1)
+
+    growing, gain = grows(both), MOST_GAIN
     if growing[-1]:
         return 1.0, 0.0
-    rows = growing[:-1].reshape(2, -1)
-    gain = float(min(FACTORS[int(np.argmax(row))] if row.any() else MOST_GAIN for row in rows))
-    law = LinearLaw(cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()  # Tustin keeps the largest gain
+    for power, row in zip((1.0, -1.0), growing[:-1].reshape(2, -1), strict=True):
+        if row.any():
+            first = int(np.argmax(row))
+            low, high = float(FACTORS[first - 1]) if first else 1.0, float(FACTORS[first])
+            for _ in range(HALVINGS):
+                middle = math.sqrt(low * high)
+                low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
+            gain = min(gain, low)
+    inside = 1 - NEARLY if loop.period else 1.0  # a pole at z = -1 has no counterpart; Tustin keeps the largest gain
+    law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
     return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size

@@ -29,7 +29,7 @@ from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
 SPEED = 20.0  # m/s, usual
-ROUNDS, SLACK, TIGHTER, MOST_SHARE = 3, 0.75, 0.97, 3.0  # repeated searches; use that calls for more; factor; largest share
+ROUNDS, SLACK, TIGHTER, MOST_SHARE = 2, 0.75, 0.97, 3.0  # repeated searches; use that calls for more; factor; largest share
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
 
 
