@@ -122,16 +122,17 @@ def lower_bound(task: Task) -> float | None:
     """
     last, change, points = math.inf, math.inf, task.line.ride_points.worst_of
     lag, noise = task.pushed.limits.actuator_bandwidth, tuple(task.noise_of(task.sensors).tolist())
-    entry = ControllerEntry("bound", task.sensors, DesignRequest(design="h2"), hardware=DesignConditions(noise, lag))
+    conditions = DesignConditions(noise, lag)
     for force in np.arange(-3.0, -12.0, -1.5):
-        weights = {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}
-        car = weighted_vehicle(task, weights, delayed=False)
+        car = weighted_vehicle(task, {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}, delayed=False)
+        posed = problem(car, task.sensors, DesignConditions(bandwidth=lag))
         try:
-            one = Designer(replace(car, controllers={"bound": entry}), search=False).design("bound")
+            law = on_readings(lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements]), posed)
+            one = replace(uncertified(task, "bound", task.sensors, law), hardware=conditions)
+            ride = task.white * h2_norm(one.loop(replace(car, performance=dict.fromkeys(car.performance, 0.0))))
         except (DesignError, InputError):
             break
-        of_ride = replace(car, performance=dict.fromkeys(car.performance, 0.0))
-        ride = task.white * h2_norm(one.loop(of_ride)) / math.sqrt(len(points))
+        ride /= math.sqrt(len(points))
         change, last = last - ride, min(ride, last)
         if change < ENOUGH * last:
             break

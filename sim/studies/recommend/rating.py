@@ -42,10 +42,14 @@ class Rating:
         value = self.values.get(GOALS[task.goal])
         return math.inf if value is None else value
 
-    def penalised(self, task: Task, share: float = 1.0) -> float:
-        """Returns the value with a penalty for limits that are exceeded if a share of stroke and force may be used."""
-        excess = sum(max(0.0, min(one, 10.0) - 1) for one in task.within.used(self.usage, share).values())
-        return self.value(task) * (1 + EXCESS * excess)
+    def penalised(self, task: Task, factors: Mapping[str, float] | None = None) -> float:
+        """Returns the value with a penalty for limits that are exceeded.
+
+        Args:
+            factors: factors on the use of limits, by name; 1 if not given.
+        """
+        used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
+        return self.value(task) * (1 + EXCESS * sum(max(0.0, min(one, 10.0) - 1) for one in used.values()))
 
 
 def rate_expected(task: Task, candidate: Candidate) -> Rating | None:

@@ -29,7 +29,8 @@ from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
 SPEED = 20.0  # m/s, usual
-ROUNDS, SLACK, TIGHTER, MOST_SHARE = 2, 0.75, 0.97, 3.0  # repeated searches; use that calls for more; factor; largest share
+ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
+CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
 
 
@@ -179,10 +180,9 @@ class _Work:
         if not task.vehicle.dampers:
             self.bound = lower_bound(task)
         self._drive()
-        shares = dict.fromkeys(searched, 1.0)
         for _ in range(ROUNDS):
             for family in searched:
-                self._repeat(family, shares)
+                self._repeat(family)
             self._drive()
         self._certify()
 
@@ -217,24 +217,25 @@ class _Work:
         new = [one for one in self.expected if one not in self.driven]
         self.driven |= zip(new, drive_candidates(self.task, new, self._progress), strict=True)
 
-    def _repeat(self, family: Family, shares: dict[Family, float]) -> None:
-        """Searches a family again for less stroke and force if its last candidate used too much, and for more if too little."""
-        task, (last, rating, _) = self.task, family.best(self.task, shares[family]) or (None, None, None)
+    def _repeat(self, family: Family) -> None:
+        """Searches a family again if its best candidate exceeds limits in MuJoCo, or uses little of those that it was held by."""
+        task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
         if last not in self.driven or rating is None:
             return
-        room = 1 - self.reserve
-        there, linear = (max(one.get("stroke", 0.0), one.get("force", 0.0)) for one in self._used(last, rating))
-        if room * SLACK <= there <= room or (there < room and linear < SLACK * shares[family]):
+        there = task.within.used(self.driven[last].usage, self.reserve)
+        linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
+        held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
+        if not held or SLACK <= max(there[name] for name in held) <= 1:
             return
-        shares[family] = min(shares[family] * (TIGHTER * room / there if there > 0 else MOST_SHARE), MOST_SHARE)
+        for name in held:
+            factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
+            factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
+            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / LEAST)
         self._progress(f"{family.name} again")
-        family.search(task, shares[family])
-        best = family.best(task, shares[family])
+        family.search(task)
+        best = family.best(task)
         if best is not None and best[0] not in self.expected:
             self.expected[best[0]] = best[1]
-
-    def _used(self, one: Candidate, rating: Rating) -> list[dict[str, float]]:
-        return [self.task.within.used(each.usage) for each in (self.driven[one], rating)]
 
     def _certify(self) -> None:
         """Gives the best candidate of each family its certificate."""
@@ -251,9 +252,9 @@ class _Work:
         for one, expected in self.expected.items():
             rating, driven = self.driven.get(one, expected), one in self.driven
             if rating is not None and math.isfinite(rating.value(self.task)):
-                used = self.task.within.used(rating.usage, 1 - self.reserve if driven else 1.0)
+                used = self.task.within.used(rating.usage, self.reserve if driven else 0.0)
                 rows.append(Row(one, rating, driven, max(used.values(), default=0.0) <= 1))
-        for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task, 1 - self.reserve))):
+        for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task))):
             best.setdefault(row.candidate.name, row)
         return list(best.values())
 

@@ -44,7 +44,7 @@ def change(result: Recommendation, row: Row) -> float | None:
 
 def binding(result: Recommendation, row: Row) -> str:
     """Returns the limit that a row uses most, if it nearly reaches it, with an exclamation mark if it exceeds it."""
-    used = result.task.within.used(row.rating.usage, 1 - result.reserve if row.driven else 1.0)
+    used = result.task.within.used(row.rating.usage, result.reserve if row.driven else 0.0)
     name = max(used, key=used.__getitem__, default="")
     return "-" if not name or used[name] < NEAR else f"{name}!" if used[name] > 1 else name
 

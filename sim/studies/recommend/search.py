@@ -1,8 +1,8 @@
 """Families of candidates, and the search of their numbers on the expectation over the road, by the simplex of Nelder and Mead.
 
 A family has a fixed number of evaluations, so the search finds the same candidates on any machine. MuJoCo has stops, clipped
-forces, noise and curves, which the expectation leaves out or makes straight. So the search is repeated for the share of stroke
-and force that the runs of its first candidate call for.
+forces, noise and curves, which the expectation leaves out or makes straight. So the search is repeated with the factors by which
+the runs of its best candidate use more of the limits.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +27,7 @@ LARGE_PLANT, FEWER = 10, 0.5  # states; above, families have this share of evalu
 MOST_ALONE = 4  # groups of sensors of which each is tried alone
 PREVIEW_TIME = 0.2  # s, by which the road is known ahead
 SKYHOOK = (-0.7, 0.4, -4.0)  # start of its search
-LQG_NAME = "LQG"
+LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}  # so that rounding does not decide on margins
 
 
 @dataclass(eq=False)
@@ -39,6 +39,7 @@ class Family:
         start: point at which the search begins, shape (k,).
         build: function of a point; returns the candidate.
         evaluations: number of evaluated points.
+        factors: factors on the use of limits, by which runs in MuJoCo exceed the expectation.
         rated: stable candidates with their ratings and points.
         failure: reason of the last candidate that could not be designed; empty for none.
     """
@@ -47,15 +48,16 @@ class Family:
     start: Array
     build: Callable[[Array], Candidate]
     evaluations: int
+    factors: dict[str, float] = field(default_factory=lambda: dict(MARGIN))
     rated: list[tuple[Candidate, Rating, Array]] = field(default_factory=list)
     failure: str = ""
 
-    def best(self, task: Task, share: float = 1.0) -> tuple[Candidate, Rating, Array] | None:
-        """Returns the best candidate for a share of stroke and force that may be used; None without any."""
-        return min(self.rated, key=lambda one: one[1].penalised(task, share), default=None)
+    def best(self, task: Task) -> tuple[Candidate, Rating, Array] | None:
+        """Returns the best candidate for the present factors; None without any."""
+        return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
-    def search(self, task: Task, share: float = 1.0) -> None:
-        """Searches for a share of stroke and force; a repeated search begins at its best point."""
+    def search(self, task: Task) -> None:
+        """Searches for the present factors; a repeated search begins at the best point."""
         from scipy import optimize
 
         def value(x: Array) -> float:
@@ -69,9 +71,9 @@ class Family:
                 self.failure = self.failure or "the implemented loop is unstable"
                 return UNSTABLE
             self.rated.append((candidate, rating, np.array(x)))
-            return min(rating.penalised(task, share), UNSTABLE)
+            return min(rating.penalised(task, self.factors), UNSTABLE)
 
-        best = self.best(task, share)
+        best = self.best(task)
         start, step = (self.start, STEP) if best is None else (best[2], RESTART)
         few = len(task.line.linear_model.states) > LARGE_PLANT
         count = round(self.evaluations * (FEWER if few else 1.0) * (1.0 if best is None else 0.4))

@@ -48,9 +48,9 @@ class Within:
     disk: float | None = 0.3
     off_ground: float | None = 1e-3
 
-    def used(self, usage: Usage, share: float = 1.0) -> dict[str, float]:
-        """Returns how much of each limit is used, 1 at the limit, if only a share of stroke and force may be used."""
-        gain, least = math.log(max(usage.gain_margin, 1 + 1e-9)), 1e-9
+    def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
+        """Returns how much of each limit is used, 1 at the limit, with a share of stroke and force that is kept in reserve."""
+        share, gain, least = 1 - reserve, math.log(max(usage.gain_margin, 1 + 1e-9)), 1e-9
         used = {
             "stroke": self.stroke and usage.stroke / (self.stroke * share),
             "force": self.force and usage.force / (self.force * share),
