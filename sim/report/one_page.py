@@ -1,5 +1,6 @@
 """One page to mail: the controllers over one road, with its speed in the title, a table, a verdict and a figure."""
 
+from models.common.printed import brief
 from models.document.document import Document, Statement
 from models.document.page import Page
 from sim.command.comparison import standings_of
@@ -26,7 +27,7 @@ def one_page(scope: Subject) -> Report:
     where = compared_on(scope, compared, False, measured_words(scope.time, scope.samples))
     screen = first_screen(scope, runs, compared, {}, where)
     names, speed = some_names([one.name for one in scope.driven]), scope.road.speed
-    title = f"{file_stem(scope.vehicle)}, {scope.road.words} ({HOUR * speed:.0f} km/h): {names}"
+    title = f"{file_stem(scope.vehicle)}, {scope.road.words} ({brief(HOUR * speed)} km/h): {names}"
     small = warnings({one.name: law_margins(scope.vehicle, one) for one in scope.driven})
     summary = Document("", (*verdicts(runs), *(Statement(f"{text}.", "ends") for text in small), *screen.blocks))
     return Report(Page(title, summary, (), headline(compared)), compared, where)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +84,13 @@ def rated(van):
     return {one.name: (one, rate_expected(van, one)) for one in every}
 
 
-def result_of(task, rated, **more):
+def law_of(*numbers):
+    """Returns the law of one state with these numbers."""
+    A, B, C, D = (np.array([[one]]) for one in numbers)
+    return LinearLaw(A, B, C, D)
+
+
+def result_of(task, rated, **more) -> Any:
     """Returns a recommendation of candidates that were not driven."""
     rows = [Row(one, rating, False, True) for one, rating in rated.values()]
     rows.sort(key=lambda row: row.rating.value(task))
@@ -130,7 +137,7 @@ def test_usual_lqg_is_better_than_passive(van, rated):
 def test_expected_ride_is_that_of_the_implemented_loop(van, rated):
     """The rating has the expectation of `sim.drive` for the linear twin, to what a coarser step of the road changes."""
     one, rating = rated["LQG"]
-    expected = expect(van.line, one.controller, van.spectrum, van.timestep, 10.0)
+    expected: Any = expect(van.line, one.controller, van.spectrum, van.timestep, 10.0)
     assert rating.values["ride"] == pytest.approx(expected.mean["sprung_acceleration_weighted"], rel=5e-3)
 
 
@@ -138,7 +145,7 @@ def test_margins_are_those_of_other_commands(van, rated):
     """No margin exceeds that of the ideal loop, and a gain at the margin is on the verge of stability."""
     one, _ = rated["LQG"]
     gain, disk = margins_of(van, one.controller)
-    assert disk <= law_margins(van.line, one.controller).disk * (1 + 1e-6)  # the norm's own accuracy
+    assert disk <= (law_margins(van.line, one.controller).disk or 0.0) * (1 + 1e-6)  # the norm's own accuracy
     if gain < MOST_GAIN:
         up, down = (uncertified(van, "x", one.controller.measured, one.controller.law.scaled(1.1 * gain**k)) for k in (1, -1))
         assert margins_of(van, up)[0] == 1.0 or margins_of(van, down)[0] < 1.1 * gain
@@ -146,9 +153,9 @@ def test_margins_are_those_of_other_commands(van, rated):
 
 def test_skyhook_is_the_textbooks(van):
     """On a quarter-car the law is c times the integrated acceleration, and a virtual mass."""
-    sensors = body_sensors(van)
-    law = skyhook(van, sensors, "skyhook", [math.log(0.5), math.log(2.0), math.log(1.5)], False).controller.law
-    by_hand = LinearLaw([[-2.0]], [[1.0]], [[-0.5 * 10 * 900]], [[-0.15 * 900]])
+    sensors: Any = body_sensors(van)
+    law: Any = skyhook(van, sensors, "skyhook", [math.log(0.5), math.log(2.0), math.log(1.5)], False).controller.law
+    by_hand = law_of(-2.0, 1.0, -0.5 * 10 * 900, -0.15 * 900)
     for s in (0.3, 5.0, 60.0):
         assert law.response(s) == pytest.approx(by_hand.response(s), rel=1e-9)
 
@@ -156,8 +163,8 @@ def test_skyhook_is_the_textbooks(van):
 def test_skyhook_damps_each_mode_of_a_car():
     """With sensors of heave and pitch, each force is proportional to the body's velocity over its own suspension."""
     car = task_of(read_vehicle("half_car"), 20.0)
-    sensors = body_sensors(car)
-    one = skyhook(car, sensors, "skyhook", [0.0, 0.0, 0.0], False).controller
+    sensors: Any = body_sensors(car)
+    one: Any = skyhook(car, sensors, "skyhook", [0.0, 0.0, 0.0], False).controller
     assert one.measured == ("heave_velocity", "pitch_rate")
     model = car.vehicle.linear_model
     over = model.rows(["sprung_velocity_front", "sprung_velocity_rear"])[0][
@@ -172,7 +179,10 @@ def test_another_damper_changes_the_curve(van):
     soft = changed_passive(van, "best damper", [math.log(0.8)])
     assert soft.vehicle.curves["suspension_damping"].force == pytest.approx([-1600, 0, 3200])
     assert "x 0.8" in soft.setting
-    assert rate_expected(van, soft).value(van) != rate_expected(van, Candidate("passive", van.passive, van.vehicle)).value(van)
+    other, own = (rate_expected(van, one) for one in (soft, Candidate("passive", van.passive, van.vehicle)))
+    assert other is not None
+    assert own is not None
+    assert other.value(van) != own.value(van)
 
 
 def test_lower_bound_is_below_every_candidate(van, rated):
@@ -253,7 +263,7 @@ def test_text_and_json(van, rated):
 def test_driven_rating_has_strokes_by_side(van, rated):
     """In MuJoCo, travel counts on the side that uses the larger share of its stroke, and a broken run has no values."""
     coarse = dataclasses.replace(van, timestep=4e-3)
-    away = uncertified(van, "away", ["sprung_acceleration"], LinearLaw([[900.0]], [[1.0]], [[1e6]], [[0.0]]))
+    away = uncertified(van, "away", ["sprung_acceleration"], law_of(900.0, 1.0, 1e6, 0.0))
     some = [rated["passive"][0], Candidate("away", away, van.vehicle)]
     passive, broken = drive_candidates(coarse, some, lambda text: None, [0])
     [run] = run_controllers(van.vehicle, [van.passive], van.road, sample_times(van.vehicle, 15.0, 4e-3))
@@ -275,7 +285,7 @@ def test_command_refuses_bad_options(tmp_path):
 @pytest.mark.attack
 def test_the_van(van):
     """The best controller has a ride 7 % below passive within all limits, and keeps them on roads that no search has seen."""
-    result = recommendation(van, lambda text: None)
+    result: Any = recommendation(van, lambda text: None)
     best, passive = result.best, result.passive
     assert best.rating.value(van) < 0.93 * passive.rating.value(van)
     assert best.rating.usage.disk >= 0.3
@@ -293,7 +303,7 @@ def test_the_van(van):
 def test_no_worse_than_own_controllers(name):
     """Within the same limits, the best controller is no worse than every controller of the file."""
     task = task_of(read_vehicle(name), 20.0)
-    result = recommendation(task, lambda text: None)
+    result: Any = recommendation(task, lambda text: None)
     own = [row.rating.value(task) for row in result.rows if row.candidate.own and row.keeps]
     assert result.best.rating.value(task) <= min(own, default=math.inf)
 

@@ -21,7 +21,7 @@ from synth.controller.loop_of import loop_of, radius
 from synth.plant.state_space import StateSpace
 
 FACTORS, HALVINGS = np.geomspace(1.0, MOST_GAIN, 33)[1:], 6
-NEARLY = 1e-7
+NEARLY = 1e-6
 EXCESS = 4.0  # factor on the excess over limits in the penalty of a search
 
 
@@ -91,7 +91,7 @@ def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tu
 
     def grows(factors: Array) -> Array:
         poles = np.linalg.eigvals(cut.loop_matrix(factors))
-        return (np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9).any(axis=-1)
+        return np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9, axis=-1)
 
     growing, gain = grows(both), MOST_GAIN
     if growing[-1]:
@@ -105,5 +105,8 @@ def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tu
                 low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
             gain = min(gain, low)
     inside = 1 - NEARLY if loop.period else 1.0  # a pole at z = -1 has no counterpart; Tustin keeps the largest gain
-    law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
+    try:
+        law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
+    except InputError:
+        return gain, 0.0
     return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size

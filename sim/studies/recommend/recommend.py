@@ -9,7 +9,7 @@ from typing import Literal
 from models import USUAL_TIMESTEP
 from models.common.checks import check_arguments
 from models.common.errors import InputError
-from models.common.printed import about, brief
+from models.common.printed import brief
 from models.common.threads import one_thread
 from models.document.document import Document
 from models.document.text import ShownResult
@@ -188,10 +188,10 @@ class _Work:
 
     def _progress(self, text: str) -> None:
         known = [one.penalised(self.task) for one in self.expected.values() if one is not None]
-        best = f", best {self.task.goal} so far {brief(min(known))}" if known else ""
+        best = f", best {self.task.goal} {brief(min(known))}" if known else ""
         seconds = time.monotonic() - self._start
-        left = f", about {about(seconds * (OF_RUNS / self._share - 1))} s left" if self._share > 0 else ""
-        self._show(f"{text}{best}{left}")
+        left = f"{round(seconds * (OF_RUNS / self._share - 1), -1):g} s left, " if self._share > 0 else ""
+        self._show(f"{left}{text}{best}")
 
     def _add(self, one: Candidate) -> None:
         """Adds a candidate; one with an unstable implemented loop is left out."""
@@ -267,7 +267,9 @@ class _Work:
             left["preview"] = f"the sensors measure not all {len(task.line.linear_model.states)} states"
         if not task.vehicle.dampers:
             left["semi-active laws"] = "the file has no adjustable dampers"
-        return Recommendation(task, tuple(rows), self.sensors, self.bound, left, self.reserve, interrupted)
+        # A subset of sensors may have been searched better: what it reaches, more sensors reach, too.
+        sensors = {some: min(one for other, one in self.sensors.items() if {*other} <= {*some}) for some in self.sensors}
+        return Recommendation(task, tuple(rows), sensors, self.bound, left, self.reserve, interrupted)
 
 
 def roads_driven(task: Task) -> int:

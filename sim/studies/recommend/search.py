@@ -23,8 +23,8 @@ from synth.plant.numerics import DesignError
 
 UNSTABLE = 1e3  # value of a point without a stable loop
 STEP, RESTART = 1.0, 0.4  # of the first simplex, and of a repeated search
-LARGE_PLANT, FEWER = 10, 0.5  # states; above, families have this share of evaluations
-MOST_ALONE = 4  # groups of sensors of which each is tried alone
+LARGE_PLANT, FEWER = 7, 0.4  # states; above, families have this share of evaluations
+MOST_ALONE = 3  # groups of sensors of which each is tried alone
 PREVIEW_TIME = 0.2  # s, by which the road is known ahead
 SKYHOOK = (-0.7, 0.4, -4.0)  # start of its search
 LQG_NAME, MARGIN = "LQG", {"gain": 1.02, "disk": 1.02}  # so that rounding does not decide on margins
@@ -100,8 +100,8 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
 
     A family is to be searched before the next one is taken, whose search begins at its best point.
     """
-    yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x), 14), ()
-    yield Family("damper and spring", np.zeros(2), lambda x: changed_passive(task, "damper and spring", x), 30), ()
+    yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()
+    yield Family("damper and spring", np.zeros(2), lambda x: changed_passive(task, "damper and spring", x.tolist()), 30), ()
     sensors = body_sensors(task)
     if sensors is not None:
         size, usual = 3 if sensors.accelerations else 1, np.array(SKYHOOK)
