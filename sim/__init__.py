@@ -37,7 +37,8 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from sim.runs.by_name import run
     from sim.runs.run import Run, sample_times
     from sim.studies.frequency.identification import identify
-    from sim.studies.recommend.recommend import Recommendation, recommend
+    from sim.studies.recommend.recommend import recommend
+    from sim.studies.recommend.result import Recommendation
     from sim.studies.ride.run_metrics import RunMetrics, measure_run
     from sim.studies.stability.margin_search import find_margins
 else:

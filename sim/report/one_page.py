@@ -29,5 +29,5 @@ def one_page(scope: Subject) -> Report:
     names, speed = some_names([one.name for one in scope.driven]), scope.road.speed
     title = f"{file_stem(scope.vehicle)}, {scope.road.words} ({brief(HOUR * speed)} km/h): {names}"
     small = warnings({one.name: law_margins(scope.vehicle, one) for one in scope.driven})
-    summary = Document("", (*verdicts(runs), *(Statement(f"{text}.", "ends") for text in small), *screen.blocks))
+    summary = Document("", (*verdicts(runs), *(Statement(f"{text}.", detail="brief") for text in small), *screen.blocks))
     return Report(Page(title, summary, (), headline(compared)), compared, where)

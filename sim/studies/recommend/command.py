@@ -13,7 +13,7 @@ from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.document.document import Document
-    from sim.studies.recommend.recommend import Recommendation
+    from sim.studies.recommend.result import Recommendation
 
 GOALS = ("ride", "holding", "travel")
 LONGEST_RUN = 16.0  # s, over which a random road does not repeat
@@ -96,7 +96,7 @@ examples:
         road.check(vehicle, sample_times(vehicle, LONGEST_RUN, options.timestep))
         progress(self.stages[0])
         result = recommendation(task, progress)
-        if options.save is not None and not result.interrupted:
+        if options.save is not None and not result.interrupted and result.best is not None:
             save(options.save, result)
         return result
 
@@ -104,12 +104,12 @@ examples:
         return result.summary
 
     def record(self, request: StudyRequest, result: "Recommendation") -> dict[str, Any]:
-        from sim.studies.recommend.report import record
+        from sim.studies.recommend.result import record
 
         return {**record(result), "save": None if request.options.save is None else str(request.options.save)}
 
     def title(self, request: StudyRequest, result: "Recommendation") -> str:
-        from sim.studies.recommend.report import road_words
+        from sim.studies.recommend.result import road_words
 
         return f"{result.task.vehicle.kind.name} over a road: {road_words(result.task)}"
 
@@ -117,7 +117,7 @@ examples:
         from models.document.outputs import written_lines
         from models.document.text import text_lines
 
-        written = written_lines({"save": None if result.interrupted else request.options.save})
+        written = written_lines({"save": None if result.interrupted or result.best is None else request.options.save})
         title = title_lines(self.title(request, result), result.task.vehicle.source)
         return [*title, *text_lines(self.describe(request, result)), *written]
 

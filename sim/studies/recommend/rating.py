@@ -22,7 +22,7 @@ from synth.plant.state_space import StateSpace
 
 FACTORS, HALVINGS = np.geomspace(1.0, MOST_GAIN, 33)[1:], 6
 NEARLY = 1e-6
-EXCESS = 4.0  # factor on the excess over limits in the penalty of a search
+EXCESS = 4.0  # times the passive value: penalty of a search for a limit that is exceeded by a factor e
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Rating:
             factors: factors on the use of limits, by name; 1 if not given.
         """
         used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
-        return self.value(task) * (1 + EXCESS * sum(max(0.0, min(one, 10.0) - 1) for one in used.values()))
+        return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
 
 
 def rate_expected(task: Task, candidate: Candidate) -> Rating | None:
@@ -71,7 +71,8 @@ def rate_expected(task: Task, candidate: Candidate) -> Rating | None:
         stroke = max(stroke, (peak - offset) / bump, (peak + offset) / rebound)
     force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
     values = score_of(task.pushed, candidate.name, mean).values
-    return Rating(values, Usage(stroke, force, *margins_of(task, one), values.get("off_ground") or 0.0))
+    lifts = (values.get("off_ground") or 0.0, task.passive_values.get("off_ground") or 0.0)
+    return Rating(values, Usage(stroke, force, *margins_of(task, one), *lifts))
 
 
 def margins_of(task: Task, controller: Controller) -> tuple[float, float]:

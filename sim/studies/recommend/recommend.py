@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 from models import USUAL_TIMESTEP
@@ -11,20 +11,18 @@ from models.common.checks import check_arguments
 from models.common.errors import InputError
 from models.common.printed import brief
 from models.common.threads import one_thread
-from models.document.document import Document
-from models.document.text import ShownResult
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import Road, track_width
 from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
-from sim.studies.recommend.confirm import SEEDS, drive_candidates
+from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified, lower_bound
 from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.result import Recommendation, Row
 from sim.studies.recommend.search import Family, families
 from sim.studies.recommend.task import Candidate, Task
 from sim.studies.recommend.within import Within, read_within
-from synth.controller.controller import Controller
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
@@ -32,71 +30,6 @@ SPEED = 20.0  # m/s, usual
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
-
-
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A ranked candidate.
-
-    Attributes:
-        candidate: candidate of the row.
-        rating: rating in MuJoCo, or the expected one if it was not driven.
-        driven: True if it was driven in MuJoCo.
-        keeps: True if it keeps all limits with the reserve.
-    """
-
-    candidate: Candidate
-    rating: Rating
-    driven: bool
-    keeps: bool
-
-    @property
-    def proved(self) -> bool | None:
-        """True if stability and norm of its ideal loop are proved; None without forces or without a linear law."""
-        one = self.candidate.controller
-        return None if one.linear is not True or not one.acts else not one.certificate.failures
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Recommendation(ShownResult):
-    """Ranked candidates for a vehicle on a road.
-
-    Attributes:
-        task: task of the recommendation.
-        rows: best candidate of every family; those that keep all limits come first.
-        sensors: expected value of the goal with the LQG of some sensors, by their groups.
-        bound: expected ride that no active controller of the same sensors falls below; None if it is not computed.
-        left_out: reasons for which families or controllers of the file are left out, by name.
-        reserve: share of stroke and force that is kept for roads that were not driven.
-        interrupted: True if the search was interrupted.
-    """
-
-    task: Task
-    rows: tuple[Row, ...]
-    sensors: Mapping[tuple[str, ...], float]
-    bound: float | None
-    left_out: Mapping[str, str]
-    reserve: float
-    interrupted: bool = False
-
-    @property
-    def passive(self) -> Row | None:
-        """The passive vehicle as it is."""
-        return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
-
-    @property
-    def best(self) -> Row | None:
-        """The best controller that keeps all limits; None if none is better than the passive vehicle."""
-        least = math.inf if self.passive is None else self.passive.rating.value(self.task)
-        acting = (row for row in self.rows if row.keeps and row.candidate.controller.acts)
-        return next((row for row in acting if row.rating.value(self.task) < least), None)
-
-    @property
-    def summary(self) -> Document:
-        """The table, and what it means."""
-        from sim.studies.recommend.report import describe
-
-        return describe(self)
 
 
 @check_arguments
@@ -156,6 +89,7 @@ class _Work:
         self.left_out: dict[str, str] = {}
         self.sensors: dict[tuple[str, ...], float] = {}
         self.bound: float | None = None
+        self._lifts = 0.0
         self.reserve = RESERVE if task.random else 0.0
 
     def run(self) -> None:
@@ -215,7 +149,11 @@ class _Work:
     def _drive(self) -> None:
         """Drives the candidates that have not been driven."""
         new = [one for one in self.expected if one not in self.driven]
-        self.driven |= zip(new, drive_candidates(self.task, new, self._progress), strict=True)
+        ratings = drive_candidates(self.task, new, self._progress)
+        if not self.driven:  # the passive vehicle is the first candidate
+            self._lifts = ratings[0].usage.off_ground
+        for one, rating in zip(new, ratings, strict=True):
+            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
 
     def _repeat(self, family: Family) -> None:
         """Searches a family again if its best candidate exceeds limits in MuJoCo, or uses little of those that it was held by."""
@@ -241,7 +179,7 @@ class _Work:
         """Gives the best candidate of each family its certificate."""
         for one in [row.candidate for row in self.rows()]:
             law = one.controller
-            if isinstance(law, Controller) and law.acts and law.preview is None and not one.own:
+            if law.linear is True and law.acts and law.preview is None and not one.own:
                 self._progress(f"certificate of {one.name}")
                 changed = replace(one, controller=certified(self.task, law))
                 self.expected[changed], self.driven[changed] = self.expected.pop(one), self.driven.pop(one)
@@ -270,8 +208,3 @@ class _Work:
         # A subset of sensors may have been searched better: what it reaches, more sensors reach, too.
         sensors = {some: min(one for other, one in self.sensors.items() if {*other} <= {*some}) for some in self.sensors}
         return Recommendation(task, tuple(rows), sensors, self.bound, left, self.reserve, interrupted)
-
-
-def roads_driven(task: Task) -> int:
-    """Returns the number of roads that each candidate drives over."""
-    return len(SEEDS) if isinstance(task.road, Iso8608) else 1

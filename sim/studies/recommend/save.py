@@ -8,10 +8,8 @@ from models.common.files import whole_file
 from models.common.toml_edit import section_lines
 from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import parse_vehicle
-from sim.studies.recommend.recommend import Recommendation
-from sim.studies.recommend.report import SHARE, road_words, verdict
+from sim.studies.recommend.result import SHARE, Recommendation, road_words, verdict
 from synth.command.save import controller_section
-from synth.controller.controller import Controller
 
 NAME = "best"
 
@@ -36,9 +34,9 @@ def save(path: Path, result: Recommendation) -> str:
         f"# {verdict(result).text}",
         used,
     ]
-    if isinstance(one, Controller) and one.preview is None:
+    if one.linear is True and one.preview is None:
         lines += controller_section(vehicle, replace(one, name=name), name)
-    elif not isinstance(one, Controller) and not one.user_code:
+    elif one.linear is not True and not one.user_code:
         lines += section_lines(("controllers", name), one.law.record)
     else:
         raise InputError(f"--save: the best controller is {row.candidate.name}, which a file cannot contain; omit --save")

@@ -19,6 +19,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.within import Within
 from sim.studies.ride.expected import ExpectedMetrics, expect
+from sim.studies.ride.standing import score_of
 from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
@@ -86,6 +87,16 @@ class Task:
     def expected_passive(self) -> ExpectedMetrics | None:
         """Expected metrics of the passive vehicle over the road of the designs; None without a stable linear loop."""
         return expect(self.pushed, self.passive, self.spectrum, self.timestep, ROADS * WINDOW)
+
+    @cached_property
+    def passive_values(self) -> Mapping[str, float | None]:
+        """Expected columns of the comparison of controllers for the passive vehicle, by key; None without an expectation."""
+        return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
+
+    @property
+    def usual(self) -> float:
+        """Expected value of the goal for the passive vehicle; 1 without an expectation."""
+        return self.passive_values.get(GOALS[self.goal]) or 1.0
 
     @cached_property
     def line(self) -> Vehicle:

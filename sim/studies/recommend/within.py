@@ -10,6 +10,7 @@ from models.common.units import quantity
 
 MOST_GAIN = 100.0  # a loop that tolerates this factor tolerates any
 RANGES = {"gain_margin": (1.0, MOST_GAIN, "6dB"), "disk": (0.0, 2.0, "0.3")}  # and an example
+TAIL = 12  # relative change of the time off the ground over that of the tyre load, at about 0.1 % of the time
 SHARE = (0.0, 1.0, "95%")
 
 
@@ -22,6 +23,7 @@ class Usage(NamedTuple):
         gain_margin: factor on all forces, or its inverse, at which the loop is unstable, up to `MOST_GAIN`.
         disk: symmetric disk margin, from 0 to 2.
         off_ground: share of the time in which a tyre does not touch the ground.
+        passive_off_ground: the same for the passive vehicle, which any candidate may reach.
     """
 
     stroke: float
@@ -29,6 +31,7 @@ class Usage(NamedTuple):
     gain_margin: float
     disk: float
     off_ground: float
+    passive_off_ground: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,17 @@ class Within:
     off_ground: float | None = 1e-3
 
     def used(self, usage: Usage, reserve: float = 0.0) -> dict[str, float]:
-        """Returns how much of each limit is used, 1 at the limit, with a share of stroke and force that is kept in reserve."""
+        """Returns how much of each limit is used, 1 at the limit, with a share of stroke and force that is kept in reserve.
+
+        Time off the ground is a tail of the tyre load, so its reserve is larger: it keeps the share to the power of `TAIL`.
+        """
         share, gain, least = 1 - reserve, math.log(max(usage.gain_margin, 1 + 1e-9)), 1e-9
         used = {
             "stroke": self.stroke and usage.stroke / (self.stroke * share),
             "force": self.force and usage.force / (self.force * share),
             "gain": self.gain_margin and math.log(self.gain_margin) / gain,
             "disk": self.disk and self.disk / max(usage.disk, least),
-            "lift": self.off_ground and usage.off_ground / self.off_ground,
+            "lift": self.off_ground and usage.off_ground / max(self.off_ground * share**TAIL, usage.passive_off_ground),
         }
         return {name: one for name, one in used.items() if one is not None}
 

@@ -1,16 +1,21 @@
-"""Recommendation as text and JSON: one ranked table, the lower bound, what each sensor adds, and what was left out."""
+"""Result of a recommendation, also as text and JSON: ranked table, lower bound, value of each sensor, and what was left out."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
 
 from models.common.printed import about, as_name
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
-from models.document.text import BEST, join_words
-from sim.studies.recommend.recommend import Recommendation, Row, roads_driven
-from sim.studies.recommend.task import GOALS, Task
-from sim.studies.recommend.within import MOST_GAIN
+from models.document.text import BEST, ShownResult, join_words
+from models.roads.iso8608 import Iso8608
+from models.vehicle.names import PASSIVE
+from sim.studies.recommend.confirm import SEEDS
+from sim.studies.recommend.rating import Rating
+from sim.studies.recommend.task import GOALS, Candidate, Task
+from sim.studies.recommend.within import MOST_GAIN, TAIL
 from sim.studies.ride.standing import COLUMNS, digits
 
 MOST_ROWS = 14  # of the table, so that it has at most 24 lines
@@ -18,6 +23,74 @@ NEAR = 0.85  # share of a limit from which it binds
 WORDS = {"ride": "ride", "holding": "road holding", "travel": "travel"}
 DECIBELS = Field[float]("margin", lambda factor: 20 * math.log10(factor) if factor < 0.99 * MOST_GAIN else None, ".1f")
 SHARE, CHANGE = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[float]("change", float, "+.0f", 100.0, unit="%")
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A ranked candidate.
+
+    Attributes:
+        candidate: candidate of the row.
+        rating: rating in MuJoCo, or the expected one if it was not driven.
+        driven: True if it was driven in MuJoCo.
+        keeps: True if it keeps all limits with the reserve.
+    """
+
+    candidate: Candidate
+    rating: Rating
+    driven: bool
+    keeps: bool
+
+    @property
+    def proved(self) -> bool | None:
+        """True if stability and norm of its ideal loop are proved; None without forces or without a linear law."""
+        one = self.candidate.controller
+        return None if one.linear is not True or not one.acts else not one.certificate.failures
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recommendation(ShownResult):
+    """Ranked candidates for a vehicle on a road.
+
+    Attributes:
+        task: task of the recommendation.
+        rows: best candidate of every family; those that keep all limits come first.
+        sensors: expected value of the goal with the LQG of some sensors, by their groups.
+        bound: expected ride that no active controller of the same sensors falls below; None if it is not computed.
+        left_out: reasons for which families or controllers of the file are left out, by name.
+        reserve: share of stroke and force that is kept for roads that were not driven.
+        interrupted: True if the search was interrupted.
+    """
+
+    task: Task
+    rows: tuple[Row, ...]
+    sensors: Mapping[tuple[str, ...], float]
+    bound: float | None
+    left_out: Mapping[str, str]
+    reserve: float
+    interrupted: bool = False
+
+    @property
+    def passive(self) -> Row | None:
+        """The passive vehicle as it is."""
+        return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
+
+    @property
+    def best(self) -> Row | None:
+        """The best controller that keeps all limits; None if none is better than the passive vehicle."""
+        least = math.inf if self.passive is None else self.passive.rating.value(self.task)
+        acting = (row for row in self.rows if row.keeps and row.candidate.controller.acts)
+        return next((row for row in acting if row.rating.value(self.task) < least), None)
+
+    @property
+    def summary(self) -> Document:
+        """The table, and what it means."""
+        return describe(self)
+
+
+def roads_driven(task: Task) -> int:
+    """Returns the number of roads that each candidate drives over."""
+    return len(SEEDS) if isinstance(task.road, Iso8608) else 1
 
 
 def road_words(task: Task) -> str:
@@ -131,12 +204,9 @@ def describe(result: Recommendation) -> Document:
             for groups, value in result.sensors.items()
         ]
         texts.append(f"Expected {WORDS[task.goal]} of the best LQG by its sensors: {', '.join(each)} {column.unit}.")
-    kept = (
-        f"; {SHARE.text(result.reserve)} of stroke and force are a reserve for roads that were not driven"
-        if result.reserve
-        else ""
-    )
-    texts += [*task.assumed, f"Limits: {task.within.text}{kept}."]
+    kept, lift = result.reserve, 1 - (1 - result.reserve) ** TAIL
+    reserve = f" Reserve for other roads: {SHARE.text(kept)} of stroke and force, {SHARE.text(lift)} of the time off the ground."
+    texts += [*task.assumed, f"Limits: {task.within.text}.{reserve * bool(kept)}"]
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []
     texts += ["The search was interrupted: these are the candidates so far."] if result.interrupted else []
