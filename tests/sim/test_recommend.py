@@ -19,10 +19,10 @@ from sim.studies.recommend.laws import body_sensors, changed_passive, semi_activ
 from sim.studies.recommend.optimal import USUAL, certified, design, lower_bound, searched, uncertified
 from sim.studies.recommend.rating import margins_of, rate_expected
 from sim.studies.recommend.recommend import recommendation
-from sim.studies.recommend.result import Recommendation, Row, describe, record
+from sim.studies.recommend.result import RankedContender, Recommendation, describe, record
 from sim.studies.recommend.save import save
 from sim.studies.recommend.search import families
-from sim.studies.recommend.task import Candidate, Task
+from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage, Within, read_within
 from sim.studies.ride.expected import expect
 from sim.studies.ride.standing import strokes_used
@@ -79,8 +79,8 @@ def rated(van):
     """Candidates of the van with their expected ratings: passive, LQG with usual weights, own skyhook."""
     lqg = design(van, "LQG", van.sensors, {name: USUAL[name] for name in searched(van)})
     own = Designer(van.vehicle, search=False).design("best")
-    some = [Candidate("passive", van.passive, van.vehicle), Candidate("LQG", certified(van, lqg), van.vehicle, "weights")]
-    every = [*some, Candidate("best (file)", own, van.vehicle, own=True)]
+    some = [Contender("passive", van.passive, van.vehicle), Contender("LQG", certified(van, lqg), van.vehicle, "weights")]
+    every = [*some, Contender("best (file)", own, van.vehicle, own=True)]
     return {one.name: (one, rate_expected(van, one)) for one in every}
 
 
@@ -92,7 +92,7 @@ def law_of(*numbers):
 
 def result_of(task, rated, **more) -> Any:
     """Returns a recommendation of candidates that were not driven."""
-    rows = [Row(one, rating, False, True) for one, rating in rated.values()]
+    rows = [RankedContender(one, rating, False, True) for one, rating in rated.values()]
     rows.sort(key=lambda row: row.rating.value(task))
     return Recommendation(task, tuple(rows), {}, None, {}, 0.1, **more)
 
@@ -179,7 +179,7 @@ def test_another_damper_changes_the_curve(van):
     soft = changed_passive(van, "best damper", [math.log(0.8)])
     assert soft.vehicle.curves["suspension_damping"].force == pytest.approx([-1600, 0, 3200])
     assert "x 0.8" in soft.setting
-    other, own = (rate_expected(van, one) for one in (soft, Candidate("passive", van.passive, van.vehicle)))
+    other, own = (rate_expected(van, one) for one in (soft, Contender("passive", van.passive, van.vehicle)))
     assert other is not None
     assert own is not None
     assert other.value(van) != own.value(van)
@@ -264,7 +264,7 @@ def test_driven_rating_has_strokes_by_side(van, rated):
     """In MuJoCo, travel counts on the side that uses the larger share of its stroke, and a broken run has no values."""
     coarse = dataclasses.replace(van, timestep=4e-3)
     away = uncertified(van, "away", ["sprung_acceleration"], law_of(900.0, 1.0, 1e6, 0.0))
-    some = [rated["passive"][0], Candidate("away", away, van.vehicle)]
+    some = [rated["passive"][0], Contender("away", away, van.vehicle)]
     passive, broken = drive_candidates(coarse, some, lambda text: None, [0])
     [run] = run_controllers(van.vehicle, [van.passive], van.road, sample_times(van.vehicle, 15.0, 4e-3))
     used = strokes_used(van.vehicle, run.physics, round(5.0 / 4e-3))  # the unstable law is waited for as long as any is

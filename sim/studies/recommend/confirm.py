@@ -15,7 +15,7 @@ from sim.drive.loop import Block
 from sim.observers.ends import Ends
 from sim.runs.run import sample_times
 from sim.studies.recommend.rating import Rating, margins_of
-from sim.studies.recommend.task import WINDOW, Candidate, Task
+from sim.studies.recommend.task import WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import passive_settling_time, settling_time
 from sim.studies.ride.metrics import Meter
@@ -60,7 +60,7 @@ class Peaks:
 
 
 def drive_candidates(
-    task: Task, candidates: Sequence[Candidate], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
+    task: Task, candidates: Sequence[Contender], progress: Callable[[str], None], seeds: Sequence[int] = SEEDS
 ) -> list[Rating]:
     """Returns the rating of each candidate in MuJoCo over the road, or over random roads of these seeds.
 
@@ -88,7 +88,7 @@ def drive_candidates(
     return ratings
 
 
-def _rating(task: Task, one: Candidate, runs: Sequence[dict[str, float] | None], high: np.ndarray) -> Rating:
+def _rating(task: Task, one: Contender, runs: Sequence[dict[str, float] | None], high: np.ndarray) -> Rating:
     """Returns the rating of a candidate from the metrics of its runs and the largest values of deflections and forces."""
     whole = [run for run in runs if run is not None]
     if len(whole) < len(runs):

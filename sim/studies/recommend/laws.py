@@ -21,7 +21,7 @@ from models.common.printed import about, brief
 from models.laws.linear import LinearLaw
 from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
 from sim.studies.recommend.optimal import uncertified
-from sim.studies.recommend.task import GRAVITY, Candidate, Task
+from sim.studies.recommend.task import GRAVITY, Contender, Task
 
 EXACT = 1e-6  # relative: of a sensor that is a sum of the body's velocities, or of their rates
 BODY = ("sprung_velocity", *MODES)
@@ -69,7 +69,7 @@ def body_sensors(task: Task) -> BodySensors | None:
     return BodySensors(velocities, accelerations, J @ np.linalg.pinv(np.array([*rows, *more])), travels)
 
 
-def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], travel: bool) -> Candidate:
+def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], travel: bool) -> Contender:
     """Returns the skyhook of a point of the search.
 
     Args:
@@ -93,10 +93,10 @@ def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], tra
         D = np.hstack([D, -(c_d * FASTEST + spring) * masses[:, None] * at])
         measured += [sensors.travels[i] for i in there]
         text += f", travel {about(c_d * masses.mean())} N s/m and {about(spring * masses.mean())} N/m"
-    return Candidate(name, uncertified(task, name, measured, LinearLaw(A, B, C, D)), task.vehicle, text)
+    return Contender(name, uncertified(task, name, measured, LinearLaw(A, B, C, D)), task.vehicle, text)
 
 
-def changed_passive(task: Task, name: str, x: Sequence[float]) -> Candidate:
+def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
     """Returns the passive car with another damper and spring, from logarithms of the factors on all of them."""
     factors, vehicle = dict[str, float](), task.vehicle
     damper, spring = (*(float(np.clip(math.exp(one), *ends)) for one, ends in zip(x, (DAMPER, SPRING), strict=False)), 1.0)[:2]
@@ -105,12 +105,12 @@ def changed_passive(task: Task, name: str, x: Sequence[float]) -> Candidate:
     parameters = {key: value * factors.get(key, 1.0) for key, value in vehicle.parameters.items()}
     curves = {key: curve.scaled(factors.get(key, 1.0)) for key, curve in vehicle.curves.items()}
     text = f"damper x {about(damper)}" + f", spring x {about(spring)}" * (len(x) > 1)
-    return Candidate(name, task.passive, replace(vehicle, parameters=parameters, curves=curves), text)
+    return Contender(name, task.passive, replace(vehicle, parameters=parameters, curves=curves), text)
 
 
-def semi_active(task: Task) -> list[Candidate]:
+def semi_active(task: Task) -> list[Contender]:
     """Returns semi-active laws with several values of their keys; empty without adjustable dampers."""
-    model, kind, found = task.vehicle.linear_model, task.vehicle.kind, list[Candidate]()
+    model, kind, found = task.vehicle.linear_model, task.vehicle.kind, list[Contender]()
     places = {one.force: one.ending for one in kind.suspensions}
     most, modes = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0), MODES
     for name, (_, _, own) in LAWS.items() if task.vehicle.dampers else ():
@@ -122,5 +122,5 @@ def semi_active(task: Task) -> list[Candidate]:
             law = SemiActiveLaw(name, tuple(one.items()), tuple(places.get(force, "") for force in model.inputs), of_body)
             if {*law.measured} <= {*model.outputs} and (of_body or name != "skyhook_modal"):
                 text = ", ".join(f"{key} {brief(value)}" for key, value in one.items())
-                found.append(Candidate(f"{name} law", SemiActive(name, law), task.vehicle, text))
+                found.append(Contender(f"{name} law", SemiActive(name, law), task.vehicle, text))
     return found

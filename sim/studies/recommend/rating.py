@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
-from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Candidate, Task
+from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import expect
 from sim.studies.ride.standing import score_of
@@ -52,7 +52,7 @@ class Rating:
         return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
 
 
-def rate_expected(task: Task, candidate: Candidate) -> Rating | None:
+def rate_expected(task: Task, candidate: Contender) -> Rating | None:
     """Returns the rating of a candidate over the random road of the designs; None if its loop is unstable or not linear."""
     one = candidate.controller
     if one.linear is not True:

@@ -19,9 +19,9 @@ from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified, lower_bound
 from sim.studies.recommend.rating import Rating, rate_expected
-from sim.studies.recommend.result import Recommendation, Row
+from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
-from sim.studies.recommend.task import Candidate, Task
+from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import Within, read_within
 from synth.plant.numerics import DesignError
 
@@ -84,8 +84,8 @@ class _Work:
 
     def __init__(self, task: Task, progress: Callable[[str], None]) -> None:
         self.task, self._show, self._start, self._share = task, progress, time.monotonic(), 0.0
-        self.expected: dict[Candidate, Rating | None] = {}
-        self.driven: dict[Candidate, Rating] = {}
+        self.expected: dict[Contender, Rating | None] = {}
+        self.driven: dict[Contender, Rating] = {}
         self.left_out: dict[str, str] = {}
         self.sensors: dict[tuple[str, ...], float] = {}
         self.bound: float | None = None
@@ -95,7 +95,7 @@ class _Work:
     def run(self) -> None:
         """Searches, drives and certifies all candidates."""
         task, searched = self.task, list[Family]()
-        self._add(Candidate(PASSIVE, task.passive, task.vehicle, "of the file"))
+        self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
         planned = [family.evaluations for family, _ in families(task)]
         for i, (family, groups) in enumerate(families(task)):
             self._share = sum(planned[:i]) / sum(planned)
@@ -127,7 +127,7 @@ class _Work:
         left = f"{round(seconds * (OF_RUNS / self._share - 1), -1):g} s left, " if self._share > 0 else ""
         self._show(f"{left}{text}{best}")
 
-    def _add(self, one: Candidate) -> None:
+    def _add(self, one: Contender) -> None:
         """Adds a candidate; one with an unstable implemented loop is left out."""
         rating = rate_expected(self.task, one) if one.controller.linear is True and not one.vehicle.dampers else None
         if rating is None and one.controller.linear is True and not one.vehicle.dampers:
@@ -142,7 +142,7 @@ class _Work:
             self._progress(f"{name} of the file")
             try:
                 controller = vehicle.driver(name, self.task.designer.design)
-                self._add(Candidate(f"{name} (file)", controller, vehicle.with_actuators_of(name), "of the file", own=True))
+                self._add(Contender(f"{name} (file)", controller, vehicle.with_actuators_of(name), "of the file", own=True))
             except (DesignError, InputError) as error:
                 self.left_out[f"{name} (file)"] = str(error).removeprefix(f"controller {name!r}: ")
 
@@ -184,14 +184,14 @@ class _Work:
                 changed = replace(one, controller=certified(self.task, law))
                 self.expected[changed], self.driven[changed] = self.expected.pop(one), self.driven.pop(one)
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[RankedContender]:
         """Returns the best candidate of each family, ranked."""
-        rows, best = list[Row](), dict[str, Row]()
+        rows, best = list[RankedContender](), dict[str, RankedContender]()
         for one, expected in self.expected.items():
             rating, driven = self.driven.get(one, expected), one in self.driven
             if rating is not None and math.isfinite(rating.value(self.task)):
                 used = self.task.within.used(rating.usage, self.reserve if driven else 0.0)
-                rows.append(Row(one, rating, driven, max(used.values(), default=0.0) <= 1))
+                rows.append(RankedContender(one, rating, driven, max(used.values(), default=0.0) <= 1))
         for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task))):
             best.setdefault(row.candidate.name, row)
         return list(best.values())

@@ -14,7 +14,7 @@ from models.roads.iso8608 import Iso8608
 from models.vehicle.names import PASSIVE
 from sim.studies.recommend.confirm import SEEDS
 from sim.studies.recommend.rating import Rating
-from sim.studies.recommend.task import GOALS, Candidate, Task
+from sim.studies.recommend.task import GOALS, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, TAIL
 from sim.studies.ride.standing import COLUMNS, digits
 
@@ -26,7 +26,7 @@ SHARE, CHANGE = Field[float]("share", float, ".0f", 100.0, unit="%"), Field[floa
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class RankedContender:
     """A ranked candidate.
 
     Attributes:
@@ -36,7 +36,7 @@ class Row:
         keeps: True if it keeps all limits with the reserve.
     """
 
-    candidate: Candidate
+    candidate: Contender
     rating: Rating
     driven: bool
     keeps: bool
@@ -63,7 +63,7 @@ class Recommendation(ShownResult):
     """
 
     task: Task
-    rows: tuple[Row, ...]
+    rows: tuple[RankedContender, ...]
     sensors: Mapping[tuple[str, ...], float]
     bound: float | None
     left_out: Mapping[str, str]
@@ -71,12 +71,12 @@ class Recommendation(ShownResult):
     interrupted: bool = False
 
     @property
-    def passive(self) -> Row | None:
+    def passive(self) -> RankedContender | None:
         """The passive vehicle as it is."""
         return next((row for row in self.rows if row.candidate.name == PASSIVE), None)
 
     @property
-    def best(self) -> Row | None:
+    def best(self) -> RankedContender | None:
         """The best controller that keeps all limits; None if none is better than the passive vehicle."""
         least = math.inf if self.passive is None else self.passive.rating.value(self.task)
         acting = (row for row in self.rows if row.keeps and row.candidate.controller.acts)
@@ -103,19 +103,19 @@ def letters(task: Task) -> dict[str, str]:
     return dict(zip(task.groups, ascii_lowercase, strict=False))
 
 
-def sensor_groups(task: Task, row: Row) -> list[str]:
+def sensor_groups(task: Task, row: RankedContender) -> list[str]:
     """Returns the groups of the sensors that a candidate measures."""
     measured = row.candidate.controller.measured if row.candidate.controller.acts else ()
     return [group for group, signals in task.groups.items() if {*signals} & {*measured}]
 
 
-def change(result: Recommendation, row: Row) -> float | None:
+def change(result: Recommendation, row: RankedContender) -> float | None:
     """Returns the relative change of the goal from the passive vehicle; None for itself."""
     usual = result.passive and result.passive.rating.value(result.task)
     return row.rating.value(result.task) / usual - 1 if usual and row is not result.passive else None
 
 
-def binding(result: Recommendation, row: Row) -> str:
+def binding(result: Recommendation, row: RankedContender) -> str:
     """Returns the limit that a row uses most, if it nearly reaches it, with an exclamation mark if it exceeds it."""
     used = result.task.within.used(row.rating.usage, result.reserve if row.driven else 0.0)
     name = max(used, key=used.__getitem__, default="")
@@ -129,35 +129,35 @@ def table(result: Recommendation) -> Table:
     if passive is not None and passive not in rows:
         rows[-1] = passive
 
-    def column(key: str, label: str) -> Field[Row]:
-        def shown(row: Row) -> str | None:
+    def column(key: str, label: str) -> Field[RankedContender]:
+        def shown(row: RankedContender) -> str | None:
             value = row.rating.values.get(key)
             return None if value is None else digits(COLUMNS[key].scale * value) + BEST * (key == goal and row is result.best)
 
         return Field(label, shown, unit=COLUMNS[key].unit)
 
-    def disk(row: Row) -> float:
+    def disk(row: RankedContender) -> float:
         size = row.rating.usage.disk
         return (2 + size) / (2 - size) if size < 2 else math.inf
 
-    def margin(row: Row, factor: float) -> str:
+    def margin(row: RankedContender, factor: float) -> str:
         return DECIBELS.cell(factor) if row.candidate.pushes else "-"
 
     columns = [
-        Field[Row]("candidate", lambda row: row.candidate.name),
+        Field[RankedContender]("candidate", lambda row: row.candidate.name),
         column("ride", "ride"),
-        Field[Row]("travel", lambda row: SHARE.cell(row.rating.usage.stroke), unit="%"),
+        Field[RankedContender]("travel", lambda row: SHARE.cell(row.rating.usage.stroke), unit="%"),
         column("dynamic_load", "tyre load"),
         column("force_rms", "force"),
         column("force_peak", "peak"),
-        Field[Row]("gain", lambda row: margin(row, row.rating.usage.gain_margin), unit="dB"),
-        Field[Row]("disk", lambda row: margin(row, disk(row)), unit="dB"),
-        Field[Row]("sensors", lambda row: "".join(known[name] for name in sensor_groups(task, row)) or "-"),
-        Field[Row]("proof", lambda row: {True: "yes", False: "no", None: "-"}[row.proved]),
-        Field[Row]("binds", lambda row: binding(result, row)),
+        Field[RankedContender]("gain", lambda row: margin(row, row.rating.usage.gain_margin), unit="dB"),
+        Field[RankedContender]("disk", lambda row: margin(row, disk(row)), unit="dB"),
+        Field[RankedContender]("sensors", lambda row: "".join(known[name] for name in sensor_groups(task, row)) or "-"),
+        Field[RankedContender]("proof", lambda row: {True: "yes", False: "no", None: "-"}[row.proved]),
+        Field[RankedContender]("binds", lambda row: binding(result, row)),
     ]
     place = {"ride": 2, "travel": 3, "holding": 4}[task.goal]
-    changes = Field[Row](
+    changes = Field[RankedContender](
         f"{WORDS[task.goal]} change [%]", lambda row: None if (one := change(result, row)) is None else CHANGE.digits(one)
     )
     columns.insert(place, changes)
@@ -213,7 +213,7 @@ def describe(result: Recommendation) -> Document:
     return Document("", (table(result), Document("", (verdict(result), *notes(*texts)))))
 
 
-ROW = Record[Row](
+ROW = Record[RankedContender](
     name="candidate.name",
     setting="candidate.setting",
     measured="candidate.controller.measured",

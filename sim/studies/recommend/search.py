@@ -18,7 +18,7 @@ from models.laws.design_methods import FULL, PREVIEW
 from sim.studies.recommend.laws import body_sensors, changed_passive, skyhook
 from sim.studies.recommend.optimal import LQG, USUAL, design, searched
 from sim.studies.recommend.rating import Rating, rate_expected
-from sim.studies.recommend.task import Candidate, Task
+from sim.studies.recommend.task import Contender, Task
 from synth.plant.numerics import DesignError
 
 UNSTABLE = 1e3  # value of a point without a stable loop
@@ -46,13 +46,13 @@ class Family:
 
     name: str
     start: Array
-    build: Callable[[Array], Candidate]
+    build: Callable[[Array], Contender]
     evaluations: int
     factors: dict[str, float] = field(default_factory=lambda: dict(MARGIN))
-    rated: list[tuple[Candidate, Rating, Array]] = field(default_factory=list)
+    rated: list[tuple[Contender, Rating, Array]] = field(default_factory=list)
     failure: str = ""
 
-    def best(self, task: Task) -> tuple[Candidate, Rating, Array] | None:
+    def best(self, task: Task) -> tuple[Contender, Rating, Array] | None:
         """Returns the best candidate for the present factors; None without any."""
         return min(self.rated, key=lambda one: one[1].penalised(task, self.factors), default=None)
 
@@ -87,10 +87,10 @@ def optimal_family(
 ) -> Family:
     """Returns the family of optimal laws of some sensors."""
 
-    def build(x: Array) -> Candidate:
+    def build(x: Array) -> Contender:
         weights = dict(zip(searched(task), x.tolist(), strict=True))
         text = "weights " + ", ".join(f"{key} {brief(float(np.exp(one)))}" for key, one in weights.items())
-        return Candidate(name, design(task, name, measured, weights, method, preview), task.vehicle, text)
+        return Contender(name, design(task, name, measured, weights, method, preview), task.vehicle, text)
 
     return Family(name, start, build, evaluations)
 
@@ -106,7 +106,7 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
     if sensors is not None:
         size, usual = 3 if sensors.accelerations else 1, np.array(SKYHOOK)
 
-        def sky(name: str, x: Array, travel: bool) -> Candidate:
+        def sky(name: str, x: Array, travel: bool) -> Contender:
             return skyhook(task, sensors, name, [*x[:size], *usual[size:], *x[size:]], travel)
 
         plain = Family("skyhook", usual[:size], lambda x: sky("skyhook", x, False), 50)

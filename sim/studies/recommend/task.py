@@ -182,8 +182,8 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """Candidate for a recommendation.
+class Contender:
+    """Contender for a recommendation.
 
     Attributes:
         name: name in the table, and of its family.
