@@ -132,6 +132,7 @@ def table(result: Recommendation) -> Table:
     def column(key: str, label: str) -> Field[RankedContender]:
         def shown(row: RankedContender) -> str | None:
             value = row.rating.values.get(key)
+            value = value if row.candidate.controller.acts or not COLUMNS[key].label.startswith("force") else 0.0
             return None if value is None else digits(COLUMNS[key].scale * value) + BEST * (key == goal and row is result.best)
 
         return Field(label, shown, unit=COLUMNS[key].unit)
@@ -161,16 +162,17 @@ def table(result: Recommendation) -> Table:
         f"{WORDS[task.goal]} change [%]", lambda row: None if (one := change(result, row)) is None else CHANGE.digits(one)
     )
     columns.insert(place, changes)
-    count = roads_driven(task)
-    how = (
-        f"In MuJoCo over {f'{count} roads' if count > 1 else 'the road'}"
-        if all(row.driven for row in rows)
-        else "Expected values"
-    )
-    left = len(result.rows) - len(rows)
-    sensors = ", ".join(f"{letter} {name}" for name, letter in known.items())
-    caption = f"{how}; travel in % of the stroke. {BEST}: recommended; !: exceeds the limit. Sensors: {sensors}."
-    return Table.of("recommended", caption + f" {left} more candidates are in --json." * bool(left), columns, rows)
+    return Table.of("recommended", f"Candidates by {WORDS[task.goal]}.", columns, rows)
+
+
+def legend(result: Recommendation, shown: int) -> str:
+    """Returns sentences on the numbers and letters of the table, which shows so many rows."""
+    task, count, left = result.task, roads_driven(result.task), len(result.rows) - shown
+    how = f"Numbers of MuJoCo over {f'{count} roads' if count > 1 else 'the road'}"
+    how = how if all(row.driven for row in result.rows) else "Expected values"
+    sensors = ", ".join(f"{letter} {name}" for name, letter in letters(task).items())
+    more = f" {left} more candidates are in --json." * bool(left)
+    return f"{how}; travel in % of the stroke. {BEST}: recommended; !: exceeds the limit. Sensors: {sensors}.{more}"
 
 
 def verdict(result: Recommendation) -> Statement:
@@ -210,7 +212,9 @@ def describe(result: Recommendation) -> Document:
     left = "; ".join(f"{name} ({reason.rstrip('.')})" for name, reason in result.left_out.items())
     texts += [f"Left out: {left}."] if left else []
     texts += ["The search was interrupted: these are the candidates so far."] if result.interrupted else []
-    return Document("", (table(result), Document("", (verdict(result), *notes(*texts)))))
+    ranked = table(result)
+    texts.insert(0, legend(result, len(ranked.rows)))
+    return Document("", (ranked, Document("", (verdict(result), *notes(*texts)))))
 
 
 ROW = Record[RankedContender](

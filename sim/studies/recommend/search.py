@@ -101,7 +101,7 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
     A family is to be searched before the next one is taken, whose search begins at its best point.
     """
     yield Family("best damper", np.zeros(1), lambda x: changed_passive(task, "best damper", x.tolist()), 14), ()
-    yield Family("damper and spring", np.zeros(2), lambda x: changed_passive(task, "damper and spring", x.tolist()), 30), ()
+    yield Family("damper, spring", np.zeros(2), lambda x: changed_passive(task, "damper, spring", x.tolist()), 30), ()
     sensors = body_sensors(task)
     if sensors is not None:
         size, usual = 3 if sensors.accelerations else 1, np.array(SKYHOOK)
@@ -114,7 +114,7 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
         if any(sensors.travels):
             best = plain.best(task)
             start = np.concatenate([usual[:size] if best is None else best[2], np.zeros(2)])
-            yield Family("skyhook, travel", start, lambda x: sky("skyhook, travel", x, True), 80), ()
+            yield Family("skyhook+travel", start, lambda x: sky("skyhook+travel", x, True), 80), ()
     groups, usual = task.groups, np.array([USUAL[name] for name in searched(task)])
     whole = optimal_family(task, LQG_NAME, task.sensors, 150, usual)
     yield whole, tuple(groups)
@@ -129,4 +129,4 @@ def families(task: Task) -> Iterator[tuple[Family, tuple[str, ...]]]:
     if {*states} <= {*task.sensors}:
         yield optimal_family(task, PREVIEW, states, 20, start, PREVIEW, PREVIEW_TIME), ()
     yield optimal_family(task, "H-infinity", task.sensors, 8, start, FULL), ()
-    yield optimal_family(task, "H-infinity, static", task.sensors, 8, start, ""), ()
+    yield optimal_family(task, "H-inf., static", task.sensors, 8, start, ""), ()
