@@ -28,7 +28,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.standing import strokes_used
 from synth.controller.law_margins import law_margins
 from synth.vehicle.designer import Designer
-from tests.support.commands import refused
+from tests.support.commands import ROOT, refused
 
 VAN = """
 type = "quarter_car"
@@ -60,6 +60,7 @@ B = [[1.0]]
 C = [[-1500.0]]
 D = [[0.0]]
 """
+PUBLISHED = tuple(str(ROOT / f"models/gallery/{car}.toml") for car in ("ulsoy/car", "herber_allison/car", "mathworks/comfort"))
 UNSEEN = range(100, 120)  # seeds that the search does not drive
 
 
@@ -299,11 +300,12 @@ def test_the_van(van):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car", *PUBLISHED])
 def test_no_worse_than_own_controllers(name):
     """Within the same limits, the best controller is no worse than every controller of the file."""
     task = task_of(read_vehicle(name), 20.0)
     result: Any = recommendation(task, lambda text: None)
+    assert result.best is not None
     own = [row.rating.value(task) for row in result.rows if row.candidate.own and row.keeps]
     assert result.best.rating.value(task) <= min(own, default=math.inf)
 
