@@ -83,6 +83,8 @@ def design(
         DesignError, InputError: there is no such controller.
     """
     car = weighted_vehicle(task, weights)
+    if preview:  # it measures all states, and no sensor measures those of a filter
+        car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
     bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
     loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
     noise = tuple((math.exp(weights["noise"]) * task.noise_of(measured)).tolist())
