@@ -7,6 +7,7 @@ Public names, imported when they are first used; all units are SI:
 - their ride, travel and grip: `measure_run`, and `RunMetrics`
 - found in MuJoCo beside what is predicted: `find_margins`, and `identify`, the frequency response
 - their logs: `run_log`, and `record`
+- the best controllers for a vehicle and a road: `recommend`, a `Recommendation`
 - own control laws of many runs side by side: `Driver`
 
 Whatever else a module holds may move without notice.
@@ -36,6 +37,8 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from sim.runs.by_name import run
     from sim.runs.run import Run, sample_times
     from sim.studies.frequency.identification import identify
+    from sim.studies.recommend.recommend import recommend
+    from sim.studies.recommend.result import Recommendation
     from sim.studies.ride.run_metrics import RunMetrics, measure_run
     from sim.studies.stability.margin_search import find_margins
 else:

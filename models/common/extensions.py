@@ -53,6 +53,7 @@ class Registry(dict[str, str]):
 
 _STANDARD = "sim.studies.ride.kinds.standard"
 _FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
+_RECOMMEND = "sim.studies.recommend.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
     "part": {  # a class, see `models.parts.part`
         "stop": "models.parts.stops.part:Stops",
@@ -199,6 +200,11 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "ends": f"{_VALIDITY}:EndsStudy",
         "margins": ("sim.studies.stability.command:MarginsStudy", "find the gain, delay and sample-period margins", "--picture"),
         "envelope": (f"{_VALIDITY}:EnvelopeStudy", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
+        "recommend": (
+            f"{_RECOMMEND}:RecommendStudy",
+            "recommend a controller for a vehicle and its road",
+            "--class --within --save",
+        ),
         "ride": "sim.studies.ride.over_roads:RideStudy",
         "workshop": f"{_FREQUENCY}:WorkshopStudy",
         "loads": "sim.studies.ride.loads:LoadsStudy",

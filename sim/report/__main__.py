@@ -50,6 +50,7 @@ examples:
   python -m sim.report --quick --vehicle my_car.toml --vehicle van.toml
   python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
   python -m sim.report --gallery --out gallery.html
+  python -m sim.report --one-page --vehicle my_car.toml --class C --speed 90km/h --out mail.html
 """
 
 
@@ -72,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_page()
     if options.gallery:
         return _gallery(options)
+    if options.one_page and (given := [name for name in ("quick", "front", "exported") if vars(options)[name]]):
+        raise InputError(f"--one-page and --{given[0].replace('exported', 'as')} cannot be combined; omit one of them")
     subjects = _subjects(options)
     if len(subjects) > 1 and options.exported is not None:
         raise InputError("--as works with one vehicle, and several are given; give one --vehicle")
@@ -193,7 +196,7 @@ def _write_report(
     check(vehicle, (), AMPLITUDE, options.timestep)
     steps_per_sample(vehicle.implementation, options.timestep)
     road, name, duration = None, "", BUMP_DURATION
-    if options.road is not None or options.road_class is not None:
+    if options.road is not None or options.road_class is not None or options.one_page:
         duration = options.duration
         road = print_remarks(requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep)))
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
@@ -215,8 +218,13 @@ def _write_report(
     linear = tuple(one for one in controllers if one.linear is True)
     laws = tuple(one for one in controllers if one.linear is False)
     scope = replace(scope, controllers=linear, laws=laws, exported_controller=exported)
-    stage = Stages(*stages(scope), "the page")
-    result = report(scope, _about(vehicle.source), pool.begin, stage)
+    stage = Stages(*([] if options.one_page else stages(scope)), "the page")
+    if options.one_page:
+        from sim.report.one_page import one_page
+
+        result = one_page(scope)
+    else:
+        result = report(scope, _about(vehicle.source), pool.begin, stage)
     stage("the page")
     _write(result.page, outputs)
     stage.end()
@@ -224,7 +232,21 @@ def _write_report(
 
 
 OF_A_VEHICLE = (
-    *("controller", "vehicle", "quick", "front", "load", "as", "timestep", "road", "class", "seed", "speed", "duration"),
+    *(
+        "controller",
+        "vehicle",
+        "one_page",
+        "quick",
+        "front",
+        "load",
+        "as",
+        "timestep",
+        "road",
+        "class",
+        "seed",
+        "speed",
+        "duration",
+    ),
 )  # options without a meaning for the gallery
 
 
@@ -243,7 +265,7 @@ def _gallery(options: argparse.Namespace) -> int:
         if getattr(options, of)
     } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
-        raise InputError(f"--{given[0]} and --gallery cannot be combined; omit one of them")
+        raise InputError(f"--{given[0].replace('_', '-')} and --gallery cannot be combined; omit one of them")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
     check_outputs(outputs, (), options.json)
     if options.figures is not None:
@@ -305,6 +327,9 @@ def _parser() -> Parser:
     parser.add_argument("--out", type=Path, metavar="FILE", help="page (default: report-VEHICLE.html, report-gallery.html)")
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write figures (SVG, PNG) and tables (CSV) to this folder"
+    )
+    parser.add_argument(
+        "--one-page", action="store_true", help="write only the comparison over the road (default: class C) on one page of A4"
     )
     parser.add_argument("--quick", action="store_true", help="omit margins, map and ride: a few seconds instead of 20 s")
     parser.add_argument(

@@ -65,7 +65,9 @@ def saved_text(
     check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text_for(path)
     for controller in designed:
-        text = with_sections(text, _entry(vehicle, controller, (sampled_bounds or {}).get(controller.name)))
+        text = with_sections(
+            text, controller_section(vehicle, controller, controller.name + SUFFIX, (sampled_bounds or {}).get(controller.name))
+        )
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     return text
 
@@ -75,9 +77,17 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
     return [f"  left out: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
-def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
+def controller_section(
+    vehicle: Vehicle, controller: Controller, name: str, sampled_bound: SampledBound | None = None
+) -> list[str]:
+    """Returns the section of a controller with its law and certificate, as lines of a vehicle file.
+
+    Args:
+        name: name of the section.
+        sampled_bound: lower bound of the sampled loop; None without one.
+    """
     own = vehicle.with_actuators_of(controller.name)
-    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(own, controller)
+    norm, _ = norm_or_failure(own, controller)
     record = to_record(controller.certificate) | norm_record(norm) | bound_record(sampled_bound) | {VEHICLE: vehicle_record(own)}
     asked = vehicle.controllers.get(controller.name)
     goals = asked.goals.record if asked is not None and asked.goals is not None else {}

@@ -36,7 +36,7 @@ laws and families in files                                      259    347    10
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     152    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  769    694    103
+laws in Python                                                  769    696    103
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            197    411    129
@@ -69,7 +69,7 @@ measured roads, rigs, OpenCRG, IRI                             1346    982      
 analytic and random roads                                      1663    928     92
     models/roads/{__init__,choice,description,iso8608,obstacles,road,sinusoids,spectrum}.py
     tests/models/test_{roads,second_sources}.py docs/how-to/custom-roads.md
-preview, LQR, LQG, H2                                           527    625     51
+preview, LQR, LQG, H2                                           544    625     51
     models/laws/preview.py synth/design/full_order/{preview,quadratic}.py
     tests/*/test_{preview,quadratic}.py docs/how-to/preview.md
 anti-windup, integrals, compatible options                      400   1154      0
@@ -142,6 +142,8 @@ gallery of papers                                               734    343     4
 margins in physics                                             1979    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
+recommendation of a controller                                 1557    316    149
+    sim/studies/recommend/* tests/sim/test_recommend.py docs/how-to/recommend.md docs/tutorials/best-controller.md
 frequency, sweep                                               1924    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             3169   1277      0

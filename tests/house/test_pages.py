@@ -25,7 +25,7 @@ from tests.support.shared import share
 SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
 # Each some seconds or more: after the suite.
 SLOW = (
-    *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
+    *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery", "sim recommend"),
     *("synth --vehicle quarter_car_goals", "synth --front"),
     *("synth --vehicle models/gallery/mathworks/robust.toml", "sim.campaign campaign.toml", "sim.campaign --verify"),
     *("sim.drive --controller I --class C", "sim.bump --controller all --serve", "synth --part loop"),

@@ -15,13 +15,14 @@ from models.document.figure import styles
 from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.__main__ import COMMANDS, VERBS
+from sim.__main__ import COMMANDS, OWN, VERBS
 from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.sampled_response import taylor4
 from sim.runs.by_name import run
 from sim.runs.run import sample_times
+from sim.studies.registry import command_of
 from sim.studies.ride import over_roads as ride
 from synth.vehicle.designer import Designer
 from tests.support import pages
@@ -218,7 +219,8 @@ def commands_there_are() -> set[str]:
     files = [path for floor in ("synth", "sim") for path in (ROOT / floor).rglob("*.py")]
     running = [path for path in files if "    from models.common.cli import run\n" in path.read_text(encoding="utf-8")]
     names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__") for path in running}
-    return names - {"sim"}
+    studies = {name for name in map(command_of, OWN) if name.startswith("sim ")}  # without a module of their own
+    return names - {"sim"} | studies
 
 
 def rows(text: str) -> list[list[str]]:

@@ -169,6 +169,23 @@ def h2_norm(loop: Plant) -> float:
 
 
 @numerics()
+def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
+    """Returns the law of `lqg_design` without its checks, norm and certificate, for a search of weights.
+
+    Args:
+        plant: n states, q measurements.
+        noise: noise of each measurement, as for `lqg_design`.
+
+    Raises:
+        DesignError: a Riccati equation has no solution.
+    """
+    own = NormalisedPlant.of(plant.with_disturbances(np.diag(noise)))
+    Dyw_T = np.delete(own.plant.Dyw, list(_known_states(own.plant)), axis=0).T
+    law, _ = _law(own, False, _assumed_rows(own.plant.D)[0], _assumed_rows(Dyw_T)[0])
+    return law
+
+
+@numerics()
 def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
     """Returns the law with the smallest mean square, with the H2 norm as its value.
 

@@ -1,0 +1,126 @@
+"""Laws that one would tune by hand: skyhook, skyhook with feedback of travel, semi-active laws, and another damper or spring.
+
+Each force of the skyhook damps the body's velocity over its own suspension. Velocities are those of sensors, or integrals of
+accelerometers with a corner frequency w_c:
+
+    xi' = a - w_c xi,    u = -c S J G^+ (velocities, xi) - m_v S J G^+ a.
+
+J contains the velocities over the suspensions, and G the measurements, both by the velocities of the body. S is the static load
+of each suspension over gravity, and m_v a virtual mass. With travel d, the law adds c_d times its filtered derivative and k d.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import about, brief
+from models.laws.linear import LinearLaw
+from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
+from sim.studies.recommend.optimal import uncertified
+from sim.studies.recommend.task import GRAVITY, Contender, Task
+
+EXACT = 1e-6  # relative: of a sensor that is a sum of the body's velocities, or of their rates
+BODY = ("sprung_velocity", *MODES)
+RATE, MASS, SIDE_DAMPING, STIFFNESS = 10.0, 0.1, 1.0, 25.0  # usual c [1/s], m_v [1], c_d [1/s] and k [1/s2], each over the mass
+FASTEST = 200.0  # rad/s, of the filtered derivative of travel
+DAMPER, SPRING = (0.5, 2.0), (0.7, 1.5)  # range of factors on the passive damper and spring
+SKY, MIX, CROSSOVER = (0.15, 0.3, 0.6, 1.0, 1.5), (0.5, 0.75, 0.9), (8.0, 12.0, 20.0)  # sky damping over c_max; 1; rad/s
+
+
+class BodySensors(NamedTuple):
+    """Sensors of the body's velocity.
+
+    Attributes:
+        velocities, accelerations: names of q velocity sensors and p accelerometers.
+        over: velocities over the suspensions by those of the sensors and integrals, shape (m, q + p).
+        travels: measured deflection of every force; empty without a sensor.
+    """
+
+    velocities: list[str]
+    accelerations: list[str]
+    over: Array
+    travels: list[str]
+
+
+def body_sensors(task: Task) -> BodySensors | None:
+    """Returns the sensors of the body's velocity; None if the file has none."""
+    model, place = task.line.linear_model, {one.force: one.deflection for one in task.line.kind.suspensions}
+    moving = [i for i, name in enumerate(model.states) if name in BODY]
+    if not moving or not {*model.inputs} <= {*place}:
+        return None
+    J = (model.rows([place[force] for force in model.inputs])[0] @ model.A)[:, moving]
+    rates, sensors = np.hstack([model.A, model.B])[moving], ([], [], [], [])
+    for name in task.sensors:
+        C, D = (one[0] for one in model.rows([name]))
+        both = np.concatenate([C, D])
+        share = np.linalg.lstsq(rates.T, both)[0]
+        accelerates = bool(D.any() and np.abs(share @ rates - both).max() <= EXACT * np.abs(both).max())
+        if accelerates or (C[moving].any() and not np.delete(both, moving).any()):
+            sensors[accelerates].append(name)
+            sensors[2 + accelerates].append(share if accelerates else C[moving])
+    velocities, accelerations, rows, more = sensors
+    if not rows and not more:
+        return None
+    travels = [place[force] if place[force] in task.sensors else "" for force in model.inputs]
+    return BodySensors(velocities, accelerations, J @ np.linalg.pinv(np.array([*rows, *more])), travels)
+
+
+def skyhook(task: Task, sensors: BodySensors, name: str, x: Sequence[float], travel: bool) -> Contender:
+    """Returns the skyhook of a point of the search.
+
+    Args:
+        x: logarithms of c, w_c [rad/s] and m_v over the usual ones; with travel also c_d and k over the usual ones.
+    """
+    q, p = len(sensors.velocities), len(sensors.accelerations)
+    masses = np.array([load / GRAVITY for load in task.static_loads.values()])
+    c, corner, mass = (math.exp(min(one, 6.0)) for one in x[:3])
+    over, measured = masses[:, None] * sensors.over, [*sensors.velocities, *sensors.accelerations]
+    A, B = -corner * np.eye(p), np.eye(p, q + p, q)
+    C, D = -RATE * c * over[:, q:], np.hstack([-RATE * c * over[:, :q], -MASS * mass * over[:, q:]])
+    text = f"c {brief(RATE * c * masses.mean())} N s/m"
+    text += f", corner {about(corner)} rad/s, virtual mass {about(MASS * mass * masses.mean())} kg" if p else ""
+    if travel:
+        there = [i for i, deflection in enumerate(sensors.travels) if deflection]
+        at, k, c_d, spring = np.eye(len(masses))[:, there], len(there), SIDE_DAMPING * x[3], STIFFNESS * x[4]
+        # The derivative is FASTEST (d - FASTEST eta) with eta' = d - FASTEST eta.
+        A = np.block([[A, np.zeros((p, k))], [np.zeros((k, p)), -FASTEST * np.eye(k)]])
+        B = np.block([[B, np.zeros((p, k))], [np.zeros((k, q + p)), np.eye(k)]])
+        C = np.hstack([C, c_d * FASTEST**2 * masses[:, None] * at])
+        D = np.hstack([D, -(c_d * FASTEST + spring) * masses[:, None] * at])
+        measured += [sensors.travels[i] for i in there]
+        text += f", travel {about(c_d * masses.mean())} N s/m and {about(spring * masses.mean())} N/m"
+    return Contender(name, uncertified(task, name, measured, LinearLaw(A, B, C, D)), task.vehicle, text)
+
+
+def changed_passive(task: Task, name: str, x: Sequence[float]) -> Contender:
+    """Returns the passive car with another damper and spring, from logarithms of the factors on all of them."""
+    factors, vehicle = dict[str, float](), task.vehicle
+    damper, spring = (*(float(np.clip(math.exp(one), *ends)) for one, ends in zip(x, (DAMPER, SPRING), strict=False)), 1.0)[:2]
+    for one in vehicle.kind.suspensions:
+        factors |= {one.damping: damper, one.stiffness: spring}
+    parameters = {key: value * factors.get(key, 1.0) for key, value in vehicle.parameters.items()}
+    curves = {key: curve.scaled(factors.get(key, 1.0)) for key, curve in vehicle.curves.items()}
+    text = f"damper x {about(damper)}" + f", spring x {about(spring)}" * (len(x) > 1)
+    return Contender(name, task.passive, replace(vehicle, parameters=parameters, curves=curves), text)
+
+
+def semi_active(task: Task) -> list[Contender]:
+    """Returns semi-active laws with several values of their keys; empty without adjustable dampers."""
+    model, kind, found = task.vehicle.linear_model, task.vehicle.kind, list[Contender]()
+    places = {one.force: one.ending for one in kind.suspensions}
+    most, modes = max((getattr(one, "c_max", 0.0) for one in task.vehicle.dampers.values()), default=0.0), MODES
+    for name, (_, _, own) in LAWS.items() if task.vehicle.dampers else ():
+        sky = [{"sky_damping": share * most} for share in SKY] if "sky_damping" in own and most else [{}]
+        values = [one | {"mix": mix} for one in sky for mix in MIX] if "mix" in own else sky
+        values = [{"crossover": one} for one in CROSSOVER] if "crossover" in own else values
+        of_body = tuple(mode for mode in modes if mode in model.outputs) if name == "skyhook_modal" else ()
+        for one in values:
+            law = SemiActiveLaw(name, tuple(one.items()), tuple(places.get(force, "") for force in model.inputs), of_body)
+            if {*law.measured} <= {*model.outputs} and (of_body or name != "skyhook_modal"):
+                text = ", ".join(f"{key} {brief(value)}" for key, value in one.items())
+                found.append(Contender(f"{name} law", SemiActive(name, law), task.vehicle, text))
+    return found

@@ -1,0 +1,141 @@
+"""Optimal laws of a vehicle's sensors: LQG, H-infinity of full order and by the two steps, and preview.
+
+The plant is the linear vehicle behind a lag that stands for actuators, delay and hold: 1 / bandwidth + (delay + 1/2) periods.
+The road's velocity is white in its own intensity, and vertical accelerations of the ride points have the filter W_k.
+
+Weights are powers of e on usual sizes, so the search needs no units. A usual size is the passive vehicle's acceleration over a
+third of the stroke, of the static tyre deflection, or of the largest force.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.laws.design_methods import FULL
+from models.laws.design_request import DesignRequest
+from models.laws.filter import WEIGHTINGS, Filter
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import ControllerEntry, DesignConditions
+from models.vehicle.sections import WeightedSum
+from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend.task import Task
+from synth.controller.controller import Controller, on_readings
+from synth.controller.problem import problem
+from synth.design.full_order.quadratic import h2_norm, lqg_law
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
+
+LQG = "lqg"
+WK = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
+USUAL: Mapping[str, float] = {
+    "ride": -1.0,
+    "travel": -1.5,
+    "tyre": -2.5,
+    "force": -1.0,
+    "load": -2.0,
+    "noise": 0.0,
+}  # powers of e
+FIXED = {"ride": "ride", "holding": "tyre", "travel": "travel"}  # weight that a goal fixes at 1
+NEARLY_NONE, ENOUGH = -9.0, 5e-3  # power of e of weights that keep a problem regular; relative change of a bound that is small
+Weights = Mapping[str, float]
+
+
+def searched(task: Task) -> list[str]:
+    """Returns the names of the weights that are searched for the goal."""
+    return [name for name in USUAL if name != FIXED[task.goal]]
+
+
+def weighted_vehicle(task: Task, weights: Weights, delayed: bool = True) -> Vehicle:
+    """Returns the linear vehicle with these weights and the lag of the design, with that of delay and hold or without."""
+    line, how, lag = task.line, task.line.implementation, task.line.limits.actuator_bandwidth
+    late = (how.delay + 0.5) * (how.sample_period or task.timestep) if delayed and not how.undelayed else 0.0
+    bandwidth = 1 / (late + (1 / lag if lag else 0.0)) if late or lag else None
+    points, factors = line.ride_points.worst_of, {name: math.exp(one) for name, one in weights.items()}
+    comfort, sums = max((task.rms[name] for name in points), default=1.0), tuple[WeightedSum, ...]()
+    tyres = line.kind.static_tyre_deflection(line.parameters)
+    sizes = {name: (min(stroke), "travel") for name, stroke in task.strokes.items()}
+    sizes |= {name: (static, "tyre") for name, static in tyres.items()} | {
+        name: (one, "force") for name, one in task.forces.items()
+    }
+    performance = {name: factors.get(what, 1.0) * 3 * comfort / size for name, (size, what) in sizes.items()}
+    if points:  # orthogonal sums with the same sum of squares, so that no mode of the body has two filters
+        turned, shares, _ = np.linalg.svd(np.hstack(line.linear_model.rows(points)), full_matrices=False)
+        rows = turned.T[shares > 1e-9 * shares[0]].tolist()
+        terms = [dict(zip(points, row, strict=True)) for row in rows]
+        sums = tuple(WeightedSum(f"ride_{i + 1}", factors.get("ride", 1.0), one, WK) for i, one in enumerate(terms))
+    limits = replace(line.limits, actuator_bandwidth=bandwidth)
+    return replace(line, performance=performance, filters={}, road_filter=None, sums=sums, sampled=False, limits=limits)
+
+
+def design(
+    task: Task, name: str, measured: Sequence[str], weights: Weights, method: str = LQG, preview: float = 0.0
+) -> Controller:
+    """Returns the controller of a method for these weights.
+
+    Args:
+        method: `LQG`, "full" (H-infinity of full order), "" (the two steps), or "preview".
+        preview: time by which the road is known ahead [s].
+
+    Raises:
+        DesignError, InputError: there is no such controller.
+    """
+    car = weighted_vehicle(task, weights)
+    if preview:  # it measures all states, and no sensor measures those of a filter
+        car = replace(car, sums=tuple(replace(one, filter=None) for one in car.sums))
+    bandwidth, size = car.limits.actuator_bandwidth, math.exp(weights["load"]) * sum(task.static_loads.values())
+    loads = tuple((load, size) for load in car.linear_model.loads if "wheel" not in load)
+    noise = tuple((math.exp(weights["noise"]) * task.noise_of(measured)).tolist())
+    if method == LQG:
+        posed = problem(car, measured, DesignConditions(bandwidth=bandwidth, loads=loads))
+        law = lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements])
+        return uncertified(task, name, measured, on_readings(law, posed))
+    conditions = DesignConditions(noise, bandwidth, loads) if method == FULL else DesignConditions(bandwidth=bandwidth)
+    entry = ControllerEntry(name, tuple(measured), DesignRequest(design=method, preview=preview), hardware=conditions)
+    return replace(Designer(replace(car, controllers={name: entry}), search=False).design(name), hardware=own_hardware(task))
+
+
+def own_hardware(task: Task) -> DesignConditions:
+    """Returns the conditions of certificates: the lag of the vehicle's own actuators."""
+    return DesignConditions(bandwidth=task.pushed.limits.actuator_bandwidth)
+
+
+def uncertified(task: Task, name: str, measured: Sequence[str], law: LinearLaw) -> Controller:
+    """Returns the controller of a law with the certificate of the passive vehicle, until `certified` computes its own.
+
+    Certificates would take most of the time of a search.
+    """
+    return Controller(name, tuple(measured), law, True, task.passive.certificate, hardware=own_hardware(task))
+
+
+def certified(task: Task, one: Controller) -> Controller:
+    """Returns a controller with its certificate for the weights of the vehicle file."""
+    designer = Designer(task.vehicle.with_force_actuators if task.vehicle.dampers else task.vehicle, search=False)
+    return replace(designer.certify(one.name, one.measured, one.law, own_hardware(task)), designed=True)
+
+
+def lower_bound(task: Task) -> float | None:
+    """Returns the expected ride that no controller of the same sensors falls below without limits [m/s2]; None if unknown.
+
+    LQG has the least mean square of all controllers. Its cost of force falls until the ride falls by less than `ENOUGH`; the
+    bound is lower by twice the last change. The worst of several points is at least their root mean square.
+    """
+    last, change, points = math.inf, math.inf, task.line.ride_points.worst_of
+    lag, noise = task.pushed.limits.actuator_bandwidth, tuple(task.noise_of(task.sensors).tolist())
+    conditions = DesignConditions(noise, lag)
+    for force in np.arange(-3.0, -12.0, -1.5):
+        car = weighted_vehicle(task, {"travel": NEARLY_NONE, "tyre": NEARLY_NONE, "force": float(force)}, delayed=False)
+        posed = problem(car, task.sensors, DesignConditions(bandwidth=lag))
+        try:
+            law = on_readings(lqg_law(posed.of_states, [noise[i] for i in posed.state_measurements]), posed)
+            one = replace(uncertified(task, "bound", task.sensors, law), hardware=conditions)
+            ride = task.white * h2_norm(one.loop(replace(car, performance=dict.fromkeys(car.performance, 0.0))))
+        except (DesignError, InputError):
+            break
+        ride /= math.sqrt(len(points))
+        change, last = last - ride, min(ride, last)
+        if change < ENOUGH * last:
+            break
+    return last - 2 * change if 0 < last - 2 * change < math.inf else None

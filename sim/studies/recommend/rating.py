@@ -1,0 +1,113 @@
+"""Rating of a candidate in linear analysis: expected metrics over the road, and margins of its loops."""
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Contender, Task
+from sim.studies.recommend.within import MOST_GAIN, Usage
+from sim.studies.ride.expected import expect
+from sim.studies.ride.standing import score_of
+from synth.controller.controller import Controller
+from synth.controller.disk_margin import disk_margin
+from synth.controller.loop_of import loop_of, radius
+from synth.plant.state_space import StateSpace
+
+FACTORS, HALVINGS = np.geomspace(1.0, MOST_GAIN, 33)[1:], 6
+NEARLY = 1e-6
+EXCESS = 4.0  # times the passive value: penalty of a search for a limit that is exceeded by a factor e
+
+
+@dataclass(frozen=True, eq=False)
+class Rating:
+    """Metrics of a candidate, and its use of the limits.
+
+    Attributes:
+        values: columns of the comparison of controllers, by key [SI]; None if the vehicle lacks it or a run broke off.
+        usage: use of the limits.
+    """
+
+    values: Mapping[str, float | None]
+    usage: Usage
+
+    def value(self, task: Task) -> float:
+        """Returns the value that the goal minimises; infinite for a run that broke off."""
+        value = self.values.get(GOALS[task.goal])
+        return math.inf if value is None else value
+
+    def penalised(self, task: Task, factors: Mapping[str, float] | None = None) -> float:
+        """Returns the value with a penalty for limits that are exceeded.
+
+        Args:
+            factors: factors on the use of limits, by name; 1 if not given.
+        """
+        used = {name: (factors or {}).get(name, 1.0) * one for name, one in task.within.used(self.usage).items()}
+        return self.value(task) + EXCESS * task.usual * sum(math.log(max(one, 1.0)) for one in used.values())
+
+
+def rate_expected(task: Task, candidate: Contender) -> Rating | None:
+    """Returns the rating of a candidate over the random road of the designs; None if its loop is unstable or not linear."""
+    one = candidate.controller
+    if one.linear is not True:
+        return None
+    changed = candidate.vehicle is not task.vehicle and not one.acts
+    car = replace(candidate.vehicle, implementation=candidate.vehicle.implementation.without_noise) if changed else task.line
+    if radius(loop_of(car.linearised, one, task.coarse_step)) >= 1:
+        return None
+    expected, usual = expect(car, one, task.spectrum, task.coarse_step, ROADS * WINDOW), task.expected_passive
+    if expected is None:
+        return None
+    mean, stroke = expected.mean, 0.0
+    for name, (bump, rebound) in task.strokes.items():
+        offset = (expected if changed or usual is None else usual).line.mean.get(name, 0.0)
+        peak = mean[f"{name}_peak"] - abs(expected.line.mean.get(name, 0.0))
+        stroke = max(stroke, (peak - offset) / bump, (peak + offset) / rebound)
+    force = max(mean[f"{name}_peak"] / most for name, most in task.forces.items())
+    values = score_of(task.pushed, candidate.name, mean).values
+    lifts = (values.get("off_ground") or 0.0, task.passive_values.get("off_ground") or 0.0)
+    return Rating(values, Usage(stroke, force, *margins_of(task, one), *lifts))
+
+
+def margins_of(task: Task, controller: Controller) -> tuple[float, float]:
+    """Returns the smaller gain and disk margins of the implemented and the ideal loop, cut at all forces."""
+    if not controller.acts:
+        return MOST_GAIN, 2.0
+    pairs = [_margins(task.line, controller.feedback, task.coarse_step)]
+    with suppress(InputError):  # measurements contain the force at once, and the ideal loop has no solution
+        pairs.append(_margins(task.line, controller.feedback, None))
+    gains, disks = zip(*pairs, strict=True)
+    return min(gains), min(disks)
+
+
+def _margins(car: Vehicle, controller: Controller, timestep: float | None) -> tuple[float, float]:
+    loop = loop_of(car, controller, timestep)
+    cut, both = loop.cut(loop.forces), np.concatenate([FACTORS, 1 / FACTORS, [1.0]])
+
+    def grows(factors: Array) -> Array:
+        poles = np.linalg.eigvals(cut.loop_matrix(factors))
+        return np.any(np.abs(poles) > 1 + 1e-9 if loop.period else poles.real > 1e-9, axis=-1)
+
+    growing, gain = grows(both), MOST_GAIN
+    if growing[-1]:
+        return 1.0, 0.0
+    for power, row in zip((1.0, -1.0), growing[:-1].reshape(2, -1), strict=True):
+        if row.any():
+            first = int(np.argmax(row))
+            low, high = float(FACTORS[first - 1]) if first else 1.0, float(FACTORS[first])
+            for _ in range(HALVINGS):
+                middle = math.sqrt(low * high)
+                low, high = (low, middle) if grows(np.array([middle**power]))[0] else (middle, high)
+            gain = min(gain, low)
+    inside = 1 - NEARLY if loop.period else 1.0  # a pole at z = -1 has no counterpart; Tustin keeps the largest gain
+    try:
+        law = LinearLaw(inside * cut.A, cut.B, cut.C, cut.D, loop.period or None).continuous()
+    except InputError:
+        return gain, 0.0
+    return gain, disk_margin(StateSpace(law.A, law.B, law.C, law.D, cut.inputs, cut.outputs)).size

@@ -1,0 +1,210 @@
+"""Recommendation of a controller for a vehicle: searched in linear analysis, driven in MuJoCo, ranked."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+from models import USUAL_TIMESTEP
+from models.common.checks import check_arguments
+from models.common.errors import InputError
+from models.common.printed import brief
+from models.common.threads import one_thread
+from models.roads.iso8608 import Iso8608, long_enough
+from models.roads.road import Road, track_width
+from models.vehicle.names import PASSIVE, without_copies
+from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend.confirm import drive_candidates
+from sim.studies.recommend.laws import semi_active
+from sim.studies.recommend.optimal import certified, lower_bound
+from sim.studies.recommend.rating import Rating, rate_expected
+from sim.studies.recommend.result import RankedContender, Recommendation
+from sim.studies.recommend.search import Family, families
+from sim.studies.recommend.task import Contender, Task
+from sim.studies.recommend.within import Within, read_within
+from synth.plant.numerics import DesignError
+
+RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
+SPEED = 20.0  # m/s, usual
+ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
+CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
+OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
+
+
+@check_arguments
+def recommend(
+    vehicle: Vehicle,
+    road: Road | None = None,
+    goal: Literal["ride", "holding", "travel"] = "ride",
+    within: Within | str = "",
+    timestep: float = USUAL_TIMESTEP,
+) -> Recommendation:
+    """Returns the best controllers for a vehicle: candidates of every family, searched and driven over the road in MuJoCo.
+
+    Args:
+        road: road of the vehicle; several random roads are driven instead of a random one. Default: class C at 20 m/s.
+        goal: quantity to minimise: "ride" (weighted acceleration), "holding" (dynamic tyre load) or "travel".
+        within: limits, as `Within` or as the text of `--within`.
+        timestep: timestep of MuJoCo [s].
+
+    Raises:
+        InputError: the road or a limit is not allowed.
+
+    Example:
+        >>> from models import read_vehicle
+        >>> from sim import recommend
+        >>> recommend(read_vehicle("quarter_car"), within="stroke=200%")
+        Traceback (most recent call last):
+            ...
+        models.common.errors.InputError: --within: stroke=200% is not allowed; give 0 to 1, as in stroke=95%, or none
+    """
+    limits = read_within(within) if isinstance(within, str) else within
+    usual = Iso8608(speed=SPEED, track_width=track_width(vehicle), length=long_enough(20 * SPEED))
+    return recommendation(Task(vehicle, road or usual, goal, limits, timestep), lambda text: None)
+
+
+@one_thread()
+def recommendation(task: Task, progress: Callable[[str], None]) -> Recommendation:
+    """Returns the recommendation of a task; after Ctrl-C with the candidates so far.
+
+    Args:
+        progress: callback that receives a line of progress.
+    """
+    work = _Work(task, progress)
+    try:
+        work.run()
+    except KeyboardInterrupt:
+        return work.result(interrupted=True)
+    return work.result()
+
+
+class _Work:
+    """A recommendation in progress."""
+
+    def __init__(self, task: Task, progress: Callable[[str], None]) -> None:
+        self.task, self._show, self._start, self._share = task, progress, time.monotonic(), 0.0
+        self.expected: dict[Contender, Rating | None] = {}
+        self.driven: dict[Contender, Rating] = {}
+        self.left_out: dict[str, str] = {}
+        self.sensors: dict[tuple[str, ...], float] = {}
+        self.bound: float | None = None
+        self._lifts = 0.0
+        self.reserve = RESERVE if task.random else 0.0
+
+    def run(self) -> None:
+        """Searches, drives and certifies all candidates."""
+        task, searched = self.task, list[Family]()
+        self._add(Contender(PASSIVE, task.passive, task.vehicle, "of the file"))
+        planned = [family.evaluations for family, _ in families(task)]
+        for i, (family, groups) in enumerate(families(task)):
+            self._share = sum(planned[:i]) / sum(planned)
+            self._progress(family.name)
+            family.search(task)
+            best = family.best(task)
+            if best is None:
+                self.left_out[family.name] = family.failure
+                continue
+            searched.append(family)
+            self.expected[best[0]] = best[1]
+            self.sensors |= {groups: best[1].penalised(task)} if groups else {}
+        self._own()
+        for candidate in semi_active(task):
+            self.expected[candidate] = None
+        if not task.vehicle.dampers:
+            self.bound = lower_bound(task)
+        self._drive()
+        for _ in range(ROUNDS):
+            for family in searched:
+                self._repeat(family)
+            self._drive()
+        self._certify()
+
+    def _progress(self, text: str) -> None:
+        known = [one.penalised(self.task) for one in self.expected.values() if one is not None]
+        best = f", best {self.task.goal} {brief(min(known))}" if known else ""
+        seconds = time.monotonic() - self._start
+        left = f"{round(seconds * (OF_RUNS / self._share - 1), -1):g} s left, " if self._share > 0 else ""
+        self._show(f"{left}{text}{best}")
+
+    def _add(self, one: Contender) -> None:
+        """Adds a candidate; one with an unstable implemented loop is left out."""
+        rating = rate_expected(self.task, one) if one.controller.linear is True and not one.vehicle.dampers else None
+        if rating is None and one.controller.linear is True and not one.vehicle.dampers:
+            self.left_out[one.name] = "its implemented loop is unstable"
+        else:
+            self.expected[one] = rating
+
+    def _own(self) -> None:
+        """Adds the controllers of the file."""
+        vehicle = self.task.vehicle
+        for name in without_copies(vehicle.controllers):
+            self._progress(f"{name} of the file")
+            try:
+                controller = vehicle.driver(name, self.task.designer.design)
+                self._add(Contender(f"{name} (file)", controller, vehicle.with_actuators_of(name), "of the file", own=True))
+            except (DesignError, InputError) as error:
+                self.left_out[f"{name} (file)"] = str(error).removeprefix(f"controller {name!r}: ")
+
+    def _drive(self) -> None:
+        """Drives the candidates that have not been driven."""
+        new = [one for one in self.expected if one not in self.driven]
+        ratings = drive_candidates(self.task, new, self._progress)
+        if not self.driven:  # the passive vehicle is the first candidate
+            self._lifts = ratings[0].usage.off_ground
+        for one, rating in zip(new, ratings, strict=True):
+            self.driven[one] = replace(rating, usage=rating.usage._replace(passive_off_ground=self._lifts))
+
+    def _repeat(self, family: Family) -> None:
+        """Searches a family again if its best candidate exceeds limits in MuJoCo, or uses little of those that it was held by."""
+        task, (last, rating, _) = self.task, family.best(self.task) or (None, None, None)
+        if last not in self.driven or rating is None:
+            return
+        there = task.within.used(self.driven[last].usage, self.reserve)
+        linear = {name: one * family.factors.get(name, 1.0) for name, one in task.within.used(rating.usage).items()}
+        held = [name for name in CALIBRATED if max(there.get(name, 0.0), linear.get(name, 0.0)) > SLACK]
+        if not held or SLACK <= max(there[name] for name in held) <= 1:
+            return
+        for name in held:
+            factor = max(TIGHTER * there[name] / linear[name], LEAST) if linear[name] else 1.0
+            factor = max(factor, TIGHTER) if there[name] > 1 else factor  # a clipped force has no larger peak
+            family.factors[name] = family.factors.get(name, 1.0) * min(factor, 1 / LEAST)
+        self._progress(f"{family.name} again")
+        family.search(task)
+        best = family.best(task)
+        if best is not None and best[0] not in self.expected:
+            self.expected[best[0]] = best[1]
+
+    def _certify(self) -> None:
+        """Gives the best candidate of each family its certificate."""
+        for one in [row.candidate for row in self.rows()]:
+            law = one.controller
+            if law.linear is True and law.acts and law.preview is None and not one.own:
+                self._progress(f"certificate of {one.name}")
+                changed = replace(one, controller=certified(self.task, law))
+                self.expected[changed], self.driven[changed] = self.expected.pop(one), self.driven.pop(one)
+
+    def rows(self) -> list[RankedContender]:
+        """Returns the best candidate of each family, ranked."""
+        rows, best = list[RankedContender](), dict[str, RankedContender]()
+        for one, expected in self.expected.items():
+            rating, driven = self.driven.get(one, expected), one in self.driven
+            if rating is not None and math.isfinite(rating.value(self.task)):
+                used = self.task.within.used(rating.usage, self.reserve if driven else 0.0)
+                rows.append(RankedContender(one, rating, driven, max(used.values(), default=0.0) <= 1))
+        for row in sorted(rows, key=lambda row: (not row.keeps, row.rating.penalised(self.task))):
+            best.setdefault(row.candidate.name, row)
+        return list(best.values())
+
+    def result(self, interrupted: bool = False) -> Recommendation:
+        """Returns the recommendation so far."""
+        rows, left, task = self.rows(), dict(self.left_out), self.task
+        named = {row.candidate.name for row in rows}
+        left |= {one.name: "a run breaks off in MuJoCo" for one in self.driven if one.name not in named}
+        if not {*task.line.linear_model.states} <= {*task.sensors}:
+            left["preview"] = f"the sensors measure not all {len(task.line.linear_model.states)} states"
+        if not task.vehicle.dampers:
+            left["semi-active laws"] = "the file has no adjustable dampers"
+        # A subset of sensors may have been searched better: what it reaches, more sensors reach, too.
+        sensors = {some: min(one for other, one in self.sensors.items() if {*other} <= {*some}) for some in self.sensors}
+        return Recommendation(task, tuple(rows), sensors, self.bound, left, self.reserve, interrupted)

@@ -1,0 +1,47 @@
+"""The recommended controller as a section of a vehicle file, ready for export."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from models.common.errors import InputError
+from models.common.files import whole_file
+from models.common.toml_edit import section_lines
+from models.vehicle.in_place import with_sections
+from models.vehicle.vehicle import parse_vehicle
+from sim.studies.recommend.result import SHARE, Recommendation, road_words, verdict
+from synth.command.save import controller_section
+
+NAME = "best"
+
+
+def save(path: Path, result: Recommendation) -> str:
+    """Writes the vehicle file with the recommended controller; returns the name of its section.
+
+    The name is `best`, or has a number if the file has a controller of this name.
+
+    Raises:
+        InputError: there is no such controller, a file cannot contain it, or the file cannot be written.
+    """
+    row, vehicle, taken = result.best, result.task.vehicle, result.task.vehicle.controllers
+    if row is None:
+        raise InputError("--save has nothing to write: no controller is better than the passive vehicle within the limits")
+    name = next(one for i in range(1, len(taken) + 2) if (one := NAME if i == 1 else f"{NAME}_{i}") not in taken)
+    one, usage = row.candidate.controller, row.rating.usage
+    used = f"# travel {SHARE.text(usage.stroke)} of the stroke"
+    used += f", force {SHARE.text(usage.force)} of its limit, disk margin {usage.disk:g}" * row.candidate.pushes
+    lines = [
+        f"# roadproof recommend, {road_words(result.task)}, within {result.task.within.text}",
+        f"# {verdict(result).text}",
+        used,
+    ]
+    if one.linear is True and one.preview is None:
+        lines += controller_section(vehicle, replace(one, name=name), name)
+    elif one.linear is not True and not one.user_code:
+        lines += section_lines(("controllers", name), one.law.record)
+    else:
+        raise InputError(f"--save: the best controller is {row.candidate.name}, which a file cannot contain; omit --save")
+    text = with_sections(vehicle.text_for(path), lines)
+    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    with whole_file(path, "save") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+    return name

@@ -1,0 +1,205 @@
+"""Task of a recommendation: the car, its road and goal, its linear twin, its sensors and the limits of its hardware."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+
+from models.characteristics import SIDES
+from models.common.arrays import Array
+from models.common.printed import brief
+from models.roads.iso8608 import Iso8608
+from models.roads.road import Road, track_width
+from models.roads.spectrum import Spectrum
+from models.vehicle.names import PASSIVE
+from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend.within import Within
+from sim.studies.ride.expected import ExpectedMetrics, expect
+from sim.studies.ride.standing import score_of
+from synth.controller.controller import AnyController, Controller
+from synth.vehicle.designer import Designer
+
+Goal = Literal["ride", "holding", "travel"]
+GOALS: Mapping[Goal, str] = {"ride": "ride", "holding": "dynamic_load", "travel": "peak_travel"}  # and their columns
+WINDOW = 10.0  # s, measured on each road
+ROADS = 30  # of this window, whose largest value the linear stage expects
+NOISE = 0.01  # of a signal's rms without control: noise of a sensor for which the file gives none
+TRAVEL, FORCE = 1.25, 0.5  # assumed limits: of the passive car's peak travel, and of the static load
+GRAVITY = 9.81  # m/s2
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Task of a recommendation.
+
+    Attributes:
+        vehicle: vehicle of the file.
+        road: road, with seed 0 if it is random.
+        goal: quantity that is minimised.
+        within: limits that a candidate keeps.
+        timestep: timestep of the physics [s].
+    """
+
+    vehicle: Vehicle
+    road: Road
+    goal: Goal = "ride"
+    within: Within = field(default_factory=Within)
+    timestep: float = 1e-3
+
+    @property
+    def random(self) -> bool:
+        """True if the road is random and the response becomes stationary."""
+        return self.road.spectrum is not None
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """Spectrum of the random road for which candidates are designed: the road's own, or that of class C."""
+        usual = Iso8608(speed=self.road.speed or 20.0, track_width=track_width(self.vehicle))
+        return self.road.spectrum or usual.spectrum
+
+    @property
+    def coarse_step(self) -> float:
+        """Timestep of expectations [s]: the sample period, if the delay is a number of samples."""
+        how = self.vehicle.implementation
+        return how.sample_period if how.sample_period and how.delay == int(how.delay) else self.timestep
+
+    @cached_property
+    def pushed(self) -> Vehicle:
+        """The vehicle with force actuators, without noise in its loop."""
+        vehicle = self.vehicle.with_force_actuators if self.vehicle.dampers else self.vehicle
+        return replace(vehicle, implementation=vehicle.implementation.without_noise)
+
+    @cached_property
+    def designer(self) -> Designer:
+        """Designer of the file's controllers."""
+        return Designer(self.vehicle, search=False)
+
+    @cached_property
+    def passive(self) -> Controller:
+        """The controller without forces."""
+        return self.designer.design(PASSIVE)
+
+    @cached_property
+    def expected_passive(self) -> ExpectedMetrics | None:
+        """Expected metrics of the passive vehicle over the road of the designs; None without a stable linear loop."""
+        return expect(self.pushed, self.passive, self.spectrum, self.timestep, ROADS * WINDOW)
+
+    @cached_property
+    def passive_values(self) -> Mapping[str, float | None]:
+        """Expected columns of the comparison of controllers for the passive vehicle, by key; None without an expectation."""
+        return score_of(self.pushed, PASSIVE, {} if self.expected_passive is None else self.expected_passive.mean).values
+
+    @property
+    def usual(self) -> float:
+        """Expected value of the goal for the passive vehicle; 1 without an expectation."""
+        return self.passive_values.get(GOALS[self.goal]) or 1.0
+
+    @cached_property
+    def line(self) -> Vehicle:
+        """The linear vehicle: with the lines of statistical linearisation of the passive vehicle, or else those at rest."""
+        return self.pushed.linearised if self.expected_passive is None else self.expected_passive.line.vehicle
+
+    @property
+    def white(self) -> float:
+        """Root of the two-sided intensity of the road's velocity [m/s per root of Hz]."""
+        return math.sqrt(self.spectrum.density / 2)
+
+    @cached_property
+    def rms(self) -> Mapping[str, float]:
+        """Rms of every signal of the passive linear vehicle on a road of white velocity, by name."""
+        model = self.line.linear_model
+        push = self.white * model.Bw.sum(axis=1, keepdims=True)
+        slower = model.A - 0.2 * np.eye(len(model.A))  # 1/s, so that a body without a spring has a variance, too
+        covariance = linalg.solve_continuous_lyapunov(slower, -push @ push.T)
+        sizes = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", model.C, covariance, model.C), 0.0))
+        return dict(zip(model.outputs, sizes.tolist(), strict=True))
+
+    @cached_property
+    def static_loads(self) -> Mapping[str, float]:
+        """Static load of the suspension of every force [N]; that of 400 kg if the vehicle type does not know it."""
+        kind = self.vehicle.kind
+        loads, places = kind.static_loads(self.vehicle.parameters), {one.force: one.deflection for one in kind.suspensions}
+        return {name: loads.get(places.get(name, ""), 400 * GRAVITY) for name in self.vehicle.linear_model.inputs}
+
+    @cached_property
+    def strokes(self) -> Mapping[str, tuple[float, float]]:
+        """Stroke in bump and in rebound [m], by deflection: of the file, or `TRAVEL` times the passive vehicle's peak travel."""
+        mean, given = {} if self.expected_passive is None else self.expected_passive.mean, self.pushed.parts.strokes
+        strokes = {}
+        for name in (one.deflection for one in self.vehicle.kind.suspensions):
+            usual = math.inf if given.get(name) else TRAVEL * (mean.get(f"{name}_peak") or 5 * self.rms[name])
+            bump, rebound = (given.get(name, {}).get(side, usual) for side in SIDES)
+            strokes[name] = bump, rebound
+        return strokes
+
+    @cached_property
+    def forces(self) -> Mapping[str, float]:
+        """Largest force [N], by force: of the file, or `FORCE` times the static load."""
+        return {name: self.pushed.limits.actuator_force or FORCE * load for name, load in self.static_loads.items()}
+
+    @property
+    def assumed(self) -> list[str]:
+        """Sentences on the limits that the file lacks."""
+        texts = list[str]()
+        if not all(self.pushed.parts.strokes.get(name) for name in self.strokes):
+            most = brief(1e3 * max(min(one) for one in self.strokes.values()))
+            texts.append(f"The file has no suspension_stroke: {most} mm are assumed, {TRAVEL:g} times the passive peak travel.")
+        if self.pushed.limits.actuator_force is None and not self.vehicle.dampers:
+            texts.append(
+                f"The file has no actuator_force: {brief(max(self.forces.values()))} N are assumed, half the static load."
+            )
+        return texts
+
+    @cached_property
+    def sensors(self) -> tuple[str, ...]:
+        """Sensors of the file: signals with noise or in a controller; without any, travel and accelerations."""
+        model, how = self.vehicle.linear_model, self.vehicle.implementation
+        named = [*how.noise, *how.quantisation, *(name for one in self.vehicle.controllers.values() for name in one.measured)]
+        real = dict.fromkeys(name for name in named if name in model.measurable and name not in model.inputs)
+        usual = [*self.strokes, *self.vehicle.ride_points.all]
+        return tuple(real or (name for name in usual if name in model.measurable))
+
+    @cached_property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """Sensors by what they measure, those of all corners together."""
+        endings = sorted({one.ending for one in self.vehicle.kind.suspensions if one.ending}, key=len, reverse=True)
+        groups: dict[str, tuple[str, ...]] = {}
+        for name in self.sensors:
+            group = name.removesuffix(next((one for one in endings if name.endswith(one)), ""))
+            groups[group] = (*groups.get(group, ()), name)
+        return groups
+
+    def noise_of(self, measured: Sequence[str]) -> Array:
+        """Returns the white noise of sensors over that of the road: of the file, or `NOISE` of the signal."""
+        how = self.vehicle.implementation
+        steps = [how.quantisation.get(name, 0.0) / math.sqrt(12) for name in measured]
+        sizes = [how.noise.get(name) or step or NOISE * self.rms[name] for name, step in zip(measured, steps, strict=True)]
+        return np.array(sizes) * math.sqrt(how.sample_period or self.timestep) / self.white
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """Contender for a recommendation.
+
+    Attributes:
+        name: name in the table, and of its family.
+        controller: controller of the candidate.
+        vehicle: vehicle that it drives, with another damper and spring for a passive candidate.
+        setting: numbers of the candidate in words.
+        own: True for a controller of the file.
+    """
+
+    name: str
+    controller: AnyController
+    vehicle: Vehicle
+    setting: str = ""
+    own: bool = False
+
+    @property
+    def pushes(self) -> bool:
+        """True if it drives force actuators."""
+        return self.controller.acts and not self.vehicle.dampers
