@@ -3,13 +3,13 @@
 from models.common.printed import brief
 from models.document.document import Document, Statement
 from models.document.page import Page
-from sim.command.comparison import standings_of
 from sim.report.page import Report
 from sim.report.summary import compared_on, first_screen
 from sim.runs.report import verdicts
 from sim.runs.run import passive_beside
 from sim.studies.ride.run_metrics import measured_words
-from sim.studies.ride.standing import headline, some_names
+from sim.studies.ride.score_table import headline, some_names
+from sim.studies.ride.scores import scores_of_runs
 from sim.studies.subject import Subject, file_stem
 from synth.controller.law_margins import law_margins, warnings
 
@@ -23,11 +23,11 @@ def one_page(scope: Subject) -> Report:
         scope: subject with a road of its own.
     """
     runs = scope.runs
-    compared = standings_of(runs, passive_beside(runs, scope.designer.design), scope.samples, scope.measured)
+    compared = scores_of_runs(runs, passive_beside(runs, scope.designer.design), scope.samples, scope.run_metrics)
     where = compared_on(scope, compared, False, measured_words(scope.time, scope.samples))
     screen = first_screen(scope, runs, compared, {}, where)
-    names, speed = some_names([one.name for one in scope.driven]), scope.road.speed
+    names, speed = some_names([one.name for one in scope.driven_controllers]), scope.road.speed
     title = f"{file_stem(scope.vehicle)}, {scope.road.words} ({brief(HOUR * speed)} km/h): {names}"
-    small = warnings({one.name: law_margins(scope.vehicle, one) for one in scope.driven})
+    small = warnings({one.name: law_margins(scope.vehicle, one) for one in scope.driven_controllers})
     summary = Document("", (*verdicts(runs), *(Statement(f"{text}.", detail="brief") for text in small), *screen.blocks))
     return Report(Page(title, summary, (), headline(compared)), compared, where)

@@ -25,7 +25,7 @@ from sim.studies.recommend.search import families
 from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage, Within, read_within
 from sim.studies.ride.expected import expect
-from sim.studies.ride.standing import strokes_used
+from sim.studies.ride.scores import strokes_used
 from synth.controller.law_margins import law_margins
 from synth.vehicle.designer import Designer
 from tests.support.commands import ROOT, refused

@@ -19,7 +19,7 @@ from sim.studies.recommend.task import WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import passive_settling_time, settling_time
 from sim.studies.ride.metrics import Meter
-from sim.studies.ride.standing import score_of, standing_over_runs
+from sim.studies.ride.scores import score_of, score_over_runs
 from synth.controller.controller import is_linear
 
 SEEDS = (0, 1, 2, 3, 4, 5)  # of the random roads of the search
@@ -99,4 +99,4 @@ def _rating(task: Task, one: Contender, runs: Sequence[dict[str, float] | None],
     lifted = max((float(value.max()) for name, value in metrics.items() if name.endswith("off_ground")), default=0.0)
     margins = margins_of(task, one.controller) if one.pushes and is_linear(one.controller, one.vehicle) else (MOST_GAIN, 2.0)
     usage = Usage(float((high[:, : len(task.strokes)] / strokes).max()), force, *margins, lifted)
-    return Rating(standing_over_runs(one.vehicle, one.name, metrics).values, usage)
+    return Rating(score_over_runs(one.vehicle, one.name, metrics).values, usage)

@@ -19,7 +19,7 @@ from models.laws.design_request import DesignRequest
 from models.laws.filter import WEIGHTINGS, Filter
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry, DesignConditions
-from models.vehicle.sections import WeightedSum
+from models.vehicle.performance import WeightedSum
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.task import Task
 from synth.controller.controller import Controller, on_readings

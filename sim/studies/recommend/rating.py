@@ -14,7 +14,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import expect
-from sim.studies.ride.standing import score_of
+from sim.studies.ride.scores import score_of
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_of import loop_of, radius

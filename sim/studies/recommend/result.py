@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from string import ascii_lowercase
 from typing import Any
 
-from models.common.printed import about, as_name
+from models.common.printed import about, as_name, three_digits
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
 from models.document.text import BEST, ShownResult, join_words
@@ -16,7 +16,7 @@ from sim.studies.recommend.confirm import SEEDS
 from sim.studies.recommend.rating import Rating
 from sim.studies.recommend.task import GOALS, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, TAIL
-from sim.studies.ride.standing import COLUMNS, digits
+from sim.studies.ride.scores import COLUMNS
 
 MOST_ROWS = 14  # of the table, so that it has at most 24 lines
 NEAR = 0.85  # share of a limit from which it binds
@@ -133,7 +133,9 @@ def table(result: Recommendation) -> Table:
         def shown(row: RankedContender) -> str | None:
             value = row.rating.values.get(key)
             value = value if row.candidate.controller.acts or not COLUMNS[key].label.startswith("force") else 0.0
-            return None if value is None else digits(COLUMNS[key].scale * value) + BEST * (key == goal and row is result.best)
+            return (
+                None if value is None else three_digits(COLUMNS[key].scale * value) + BEST * (key == goal and row is result.best)
+            )
 
         return Field(label, shown, unit=COLUMNS[key].unit)
 
@@ -181,7 +183,7 @@ def verdict(result: Recommendation) -> Statement:
     if best is None:
         return Statement(f"No candidate has a better {what} than the passive vehicle within the limits.", "ends", "brief")
     column, relative = COLUMNS[GOALS[task.goal]], change(result, best)
-    number = f"{digits(column.scale * best.rating.value(task))} {column.unit}".rstrip()
+    number = f"{three_digits(column.scale * best.rating.value(task))} {column.unit}".rstrip()
     number += "" if relative is None else f", {CHANGE.text(relative)} from passive"
     measures = f" It measures {join_words([as_name(one) for one in names])}." if (names := sensor_groups(task, best)) else ""
     text = f"Best {what}: {as_name(best.candidate.name)}, {number} ({best.candidate.setting}).{measures}"
@@ -201,7 +203,7 @@ def describe(result: Recommendation) -> Document:
     whole = result.sensors.get(tuple(known), math.nan)
     if len(result.sensors) > 1:
         each = [
-            f"{''.join(known[one] for one in groups)} {digits(column.scale * value)}"
+            f"{''.join(known[one] for one in groups)} {three_digits(column.scale * value)}"
             + f" ({CHANGE.text(value / whole - 1)})" * (len(groups) < len(known))
             for groups, value in result.sensors.items()
         ]

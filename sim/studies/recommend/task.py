@@ -19,7 +19,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.studies.recommend.within import Within
 from sim.studies.ride.expected import ExpectedMetrics, expect
-from sim.studies.ride.standing import score_of
+from sim.studies.ride.scores import score_of
 from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
