@@ -1,0 +1,552 @@
+"""Maximum likelihood of a vehicle's parameters, with intervals, and the directions that the logs do not determine.
+
+The residuals of each sensor are divided by its own noise rms, given or estimated as the rms of its residuals, by turns with the
+parameters. Unknown are the logarithms of the free parameters, the delays of sensors, the state at the start of each experiment
+and the offsets. `scipy.optimize.least_squares` finds their least squares.
+
+Directions. With J the derivatives of all residuals, its part by the parameters that is left beside all other unknowns has the
+singular values s and directions V of logarithms: J'J is the information matrix. A direction with s = 0 moves no signal. The
+motion of a quarter-car has one: all masses, stiffnesses and dampings times one number. Then as many parameters as there are such
+directions keep their first values. What the logs determine are products of powers: of each other parameter with these.
+
+Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a sensor are coloured, this is too small. Then it is
+(J'J)^-1 J'RJ (J'J)^-1 with the autocovariance R of an autoregressive model of each sensor's residuals.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, list_names
+from models.vehicle.vehicle import Vehicle
+from sim.identification.experiment import Experiment
+from sim.identification.prediction import PredictedSignals, Prediction
+from sim.identification.whiteness import Whiteness, autoregressive, whiteness
+
+NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
+CHI2 = NORMAL**2  # rise of -2 log likelihood at its ends
+SINGULAR = 1e-7  # singular value over the largest one, below which a direction moves no signal: matrices are known to 1e-10
+WIDE = 1.0  # standard deviation of a logarithm above which a parameter is not determined in practice: a factor of 7 each way
+SETTLED = 1e-6  # relative change of noise at which it is settled
+ROUNDS = 30  # of noise and parameters by turns
+SPREAD = 1.2  # of the logarithms of further starts: a factor of 3
+STARTS = 12
+TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 60}
+POOR = 0.9  # share of a signal's mean square that a fit explains, below which other starts are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
+
+    Attributes:
+        name: name for reports.
+        of: the quantity of a vehicle's parameters [SI].
+        value: measured value.
+        deviation: its standard deviation.
+    """
+
+    name: str
+    of: Callable[[Vehicle], float]
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationProblem:
+    """What is identified from which experiments.
+
+    Attributes:
+        vehicle: vehicle with the first values of its parameters.
+        change: the vehicle with other values of some parameters.
+        first: first values of all free parameters, above 0, by name.
+        experiments: the experiments.
+        known: combinations that are known from elsewhere.
+    """
+
+    vehicle: Vehicle
+    change: Callable[[Vehicle, Mapping[str, float]], Vehicle]
+    first: Mapping[str, float]
+    experiments: tuple[Experiment, ...]
+    known: tuple[Known, ...] = ()
+
+    @cached_property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """The prediction of each experiment."""
+        return tuple(Prediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
+
+    @cached_property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all measured signals."""
+        return tuple(dict.fromkeys(name for one in self.experiments for name in one.signals))
+
+    @cached_property
+    def delayed(self) -> tuple[str, ...]:
+        """Names of the signals whose sensor's delay is estimated."""
+        names = {one.signal for each in self.experiments for one in each.channels if one.delay_estimated}
+        return tuple(name for name in self.signals if name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """Places of all unknowns in one vector: logarithms of parameters, delays, then starts and offsets of experiments."""
+
+    free: tuple[str, ...]
+    delayed: tuple[str, ...]
+    starts: tuple[int, ...]
+    offsets: tuple[tuple[int, ...], ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.free) + len(self.delayed) + sum(self.starts) + sum(map(len, self.offsets))
+
+    def of_experiment(self, i: int) -> tuple[slice, slice]:
+        """Returns the places of the start and of the offsets of an experiment."""
+        first = len(self.free) + len(self.delayed) + sum(self.starts[:i]) + sum(map(len, self.offsets[:i]))
+        return slice(first, first + self.starts[i]), slice(first + self.starts[i], first + self.starts[i] + len(self.offsets[i]))
+
+
+class _Residuals:
+    """Residuals over noise of all experiments and their derivatives, for one choice of free parameters."""
+
+    def __init__(self, problem: IdentificationProblem, free: Sequence[str], fixed: Mapping[str, float]) -> None:
+        self.problem, self.fixed = problem, {**problem.first, **fixed}
+        starts = tuple(0 if one.experiment.from_rest else len(one.states(self.fixed)) for one in problem.predictions)
+        offsets = tuple(
+            tuple(i for i, channel in enumerate(one.channels) if channel.offset_estimated) for one in problem.experiments
+        )
+        self.unknowns = _Unknowns(tuple(free), problem.delayed, starts, offsets)
+        self.masks = [np.stack([channel.counted for channel in one.channels], axis=-1) for one in problem.experiments]
+        self.measured = [np.stack([channel.values for channel in one.channels], axis=-1) for one in problem.experiments]
+        self._at, self._now = None, list[PredictedSignals]()
+
+    def values(self, x: Array) -> dict[str, float]:
+        """Returns the values of all parameters."""
+        return {**self.fixed, **dict(zip(self.unknowns.free, np.exp(x[: len(self.unknowns.free)]).tolist(), strict=True))}
+
+    def delays(self, x: Array, experiment: Experiment) -> list[float]:
+        """Returns the delays of an experiment's channels [s]."""
+        first = len(self.unknowns.free)
+        own = dict(zip(self.unknowns.delayed, x[first : first + len(self.unknowns.delayed)].tolist(), strict=True))
+        return [own.get(one.signal, one.delay) for one in experiment.channels]
+
+    def predicted(self, x: Array, derivatives: bool = True) -> list[PredictedSignals]:
+        """Returns the predicted signals of all experiments, with offsets."""
+        if self._at is not None and np.array_equal(self._at, x):
+            return self._now
+        values, all_signals = self.values(x), list[PredictedSignals]()
+        for i, one in enumerate(self.problem.predictions):
+            start, offset = self.unknowns.of_experiment(i)
+            first = x[start] if self.unknowns.starts[i] else None
+            signals = one(values, self.unknowns.free, first, self.delays(x, one.experiment), derivatives)
+            shift = np.zeros(signals.values.shape[1])
+            shift[list(self.unknowns.offsets[i])] = x[offset]
+            all_signals.append(replace(signals, values=signals.values + shift))
+        if derivatives:
+            self._at, self._now = x.copy(), all_signals
+        return all_signals
+
+    def differences(self, x: Array, derivatives: bool = False) -> list[Array]:
+        """Returns predicted less measured signals of each experiment, shape (T, q); NaN where there is no value."""
+        return [one.values - measured for one, measured in zip(self.predicted(x, derivatives), self.measured, strict=True)]
+
+    def residuals(self, x: Array, noise: Mapping[str, float], derivatives: bool = True) -> Array:
+        """Returns all residuals over noise, shape (N,)."""
+        rows = [
+            (each / [noise[name] for name in one.signals])[np.isfinite(each)]
+            for each, one in zip(self.differences(x, derivatives), self.problem.experiments, strict=True)
+        ]
+        return np.concatenate([*rows, self._known(self.values(x))])
+
+    def jacobian(self, x: Array, noise: Mapping[str, float]) -> Array:
+        """Returns the derivatives of `residuals`, shape (N, unknowns)."""
+        blocks, u = list[Array](), self.unknowns
+        for i, (signals, one, measured) in enumerate(
+            zip(self.predicted(x), self.problem.experiments, self.measured, strict=True)
+        ):
+            mask = np.isfinite(signals.values - measured)
+            sizes = np.array([noise[name] for name in one.signals])
+            block = np.zeros((int(mask.sum()), u.size))
+            for j in range(len(u.free)):
+                block[:, j] = (signals.by_parameter[j] / sizes)[mask]
+            for j, name in enumerate(u.delayed, len(u.free)):
+                own = np.array([channel.signal == name for channel in one.channels])
+                block[:, j] = (signals.by_delay * own / sizes)[mask]
+            start, offset = u.of_experiment(i)
+            for j, k in enumerate(range(start.start, start.stop)):
+                block[:, k] = (signals.by_start[j] / sizes)[mask]
+            for channel, k in zip(u.offsets[i], range(offset.start, offset.stop), strict=True):
+                block[:, k] = (np.where(np.arange(len(sizes)) == channel, 1.0, 0.0) / sizes * mask)[mask]
+            blocks.append(block)
+        values, base = self.values(x), np.zeros((len(self.problem.known), u.size))
+        for j, name in enumerate(u.free if self.problem.known else ()):
+            ahead, behind = ({**values, name: values[name] * (1 + h)} for h in (1e-6, -1e-6))
+            base[:, j] = (self._known(ahead) - self._known(behind)) / 2e-6
+        return np.concatenate([*blocks, base])
+
+    def _known(self, values: Mapping[str, float]) -> Array:
+        if not self.problem.known:
+            return np.zeros(0)
+        vehicle = self.problem.change(self.problem.vehicle, values)
+        return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
+
+    def noise(self, x: Array) -> dict[str, float]:
+        """Returns the noise rms of each signal: given, or the rms of its residuals."""
+        squares, counts, given = dict[str, float](), dict[str, int](), dict[str, float]()
+        for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
+            for channel, values in zip(one.channels, each.T, strict=True):
+                values = values[np.isfinite(values)]
+                squares[channel.signal] = squares.get(channel.signal, 0.0) + float(values @ values)
+                counts[channel.signal] = counts.get(channel.signal, 0) + len(values)
+                if channel.noise is not None:
+                    given[channel.signal] = channel.noise
+        least = {name: 1e-9 * self.scale[name] for name in counts}
+        return {name: given.get(name) or max(np.sqrt(squares[name] / counts[name]), least[name]) for name in counts}
+
+    @cached_property
+    def scale(self) -> dict[str, float]:
+        """Rms of each measured signal about its mean."""
+        own = dict[str, list[Array]]()
+        for one in self.problem.experiments:
+            for channel in one.channels:
+                own.setdefault(channel.signal, []).append(channel.values[channel.counted])
+        return {name: float(np.concatenate(each).std()) or 1.0 for name, each in own.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction of logarithms of parameters that moves no signal.
+
+    Attributes:
+        powers: share of each parameter, by name.
+    """
+
+    powers: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Result of an identification.
+
+    Attributes:
+        problem: what was identified.
+        values: values of all free parameters [SI], by name; those in `held` have their first ones.
+        free: names of the parameters that were estimated, p of them.
+        held: parameters that kept their first values, as the signals determine only their products with others.
+        directions: the directions that move no signal.
+        silent: parameters that no signal feels, with their first values.
+        delays: estimated delays [s], by signal.
+        noise: noise rms of each signal.
+        covariance: of the logarithms of the free parameters if the residuals are white, shape (p, p).
+        robust: the same from the autocovariance of the residuals.
+        whiteness: of the residuals of each experiment's signals.
+        differences: predicted less measured signals of each experiment, shape (T, q).
+        predicted: predicted signals of each experiment, shape (T, q).
+        deviance: -2 log likelihood but for a constant.
+        residuals: the residuals for further analysis.
+        x: the unknowns.
+    """
+
+    problem: IdentificationProblem
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    held: tuple[str, ...]
+    directions: tuple[Direction, ...]
+    silent: tuple[str, ...]
+    delays: Mapping[str, float]
+    noise: Mapping[str, float]
+    covariance: Array
+    robust: Array
+    whiteness: tuple[Mapping[str, Whiteness], ...]
+    differences: tuple[Array, ...]
+    predicted: tuple[Array, ...]
+    deviance: float
+    residuals: _Residuals = field(repr=False)
+    x: Array = field(repr=False)
+
+    @property
+    def white(self) -> bool:
+        """True if the residuals of all signals are white."""
+        return all(one.white for each in self.whiteness for one in each.values())
+
+    @property
+    def spread(self) -> Array:
+        """Covariance of the logarithms that intervals use: the robust one if residuals are coloured."""
+        return self.covariance if self.white else self.robust
+
+    @cached_property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviation of the logarithm of each free parameter."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.spread)).tolist(), strict=True))
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Free parameters whose interval is so wide that the logs do not determine them in practice."""
+        return tuple(name for name, deviation in self.deviations.items() if not deviation < WIDE)
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Returns the 95 % interval of a free parameter."""
+        value, width = self.values[name], NORMAL * self.deviations[name]
+        return value * float(np.exp(-width)), value * float(np.exp(width))
+
+    def combination(self, powers: Mapping[str, float]) -> tuple[float, float]:
+        """Returns a product of powers of parameters, and the standard deviation of its logarithm.
+
+        Args:
+            powers: power of each parameter; those that were held count as known, as the product does not depend on them.
+        """
+        weights = np.array([powers.get(name, 0.0) for name in self.free])
+        value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
+        return value, float(np.sqrt(weights @ self.spread @ weights))
+
+    @property
+    def fits(self) -> list[dict[str, float]]:
+        """Share of each signal's rms about its mean that the prediction explains, of each experiment."""
+        each = list[dict[str, float]]()
+        for one, difference in zip(self.problem.experiments, self.differences, strict=True):
+            own = dict[str, float]()
+            for channel, values in zip(one.channels, difference.T, strict=True):
+                counted = np.isfinite(values)
+                spread = float(channel.values[counted].std())
+                own[channel.signal] = 1 - float(np.sqrt(np.mean(values[counted] ** 2))) / spread if spread else 0.0
+            each.append(own)
+        return each
+
+    @cached_property
+    def ratios(self) -> dict[str, dict[str, float]]:
+        """What the logs determine of each free parameter if some were held: the powers of its product with these, by name."""
+        if not self.directions:
+            return {}
+        N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
+        own, held = N[: len(self.free)], N[len(self.free) :]
+        shares = np.linalg.solve(held.T, own.T).T  # own = shares held, so log own - shares log held does not move
+        return {
+            name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}
+            for name, row in zip(self.free, shares, strict=True)
+        }
+
+
+def _tidy(number: float) -> float:
+    """Returns the nearest small fraction if a number is that but for rounding."""
+    near = round(12 * number) / 12
+    return near if abs(near - number) < 1e-4 else float(number)
+
+
+def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
+    """Identifies parameters.
+
+    Args:
+        free: names of the parameters to estimate; the others keep their first values.
+        seed: seed of further starts, if the first one leads to a poor fit.
+
+    Raises:
+        InputError: there is nothing to estimate, or no start leads to a solution.
+    """
+    if not free:
+        raise InputError(f"no parameter is free; free one of {list_names(problem.first)} with --free")
+    every = _Residuals(problem, free, {})
+    x = _first(every)
+    held, silent, directions = _structure(every, x)
+    left = tuple(name for name in free if name not in (*held, *silent))
+    if not left:
+        raise InputError("the signals determine no parameter alone or in combination; measure a signal that they move")
+    some = _Residuals(problem, left, {})
+    best = _solve(some, _first(some))
+    if _poor(some, best[0]):
+        rng = np.random.default_rng(seed)
+        for _ in range(STARTS):
+            x = _first(some, rng.uniform(-SPREAD, SPREAD, len(left)))
+            try:
+                other = _solve(some, x)
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            if other[2] < best[2]:
+                best = other
+            if not _poor(some, best[0]):
+                break
+    return _estimate(some, best, held, silent, directions)
+
+
+def _first(of: _Residuals, shift: Array | None = None) -> Array:
+    """Returns the first unknowns: parameters as given, and the starts and offsets that fit best with these."""
+    u, x = of.unknowns, np.zeros(of.unknowns.size)
+    p = len(u.free)
+    x[:p] = np.log([of.fixed[name] for name in u.free])
+    if shift is not None:
+        x[:p] += shift
+    given = {one.signal: one.delay for each in of.problem.experiments for one in each.channels}
+    x[p : p + len(u.delayed)] = [given[name] for name in u.delayed]
+    if u.size == p + len(u.delayed):
+        return x
+    noise = of.scale
+    residuals, J = of.residuals(x, noise), of.jacobian(x, noise)
+    x[p + len(u.delayed) :] -= np.linalg.lstsq(J[:, p + len(u.delayed) :], residuals)[0]
+    return x
+
+
+def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
+    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters by turns."""
+    from scipy.optimize import least_squares
+
+    noise = of.noise(x)
+    for _ in range(ROUNDS):
+        x = least_squares(lambda x, noise: _finite(of.residuals(x, noise)), x, of.jacobian, args=(noise,), **TOLERANCES).x
+        before, noise = noise, of.noise(x)
+        if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
+            break
+    return x, noise, _deviance(of, x, noise)
+
+
+def _finite(residuals: Array) -> Array:
+    """Returns residuals that an unstable vehicle overflows as large ones, from which steps turn back."""
+    return np.nan_to_num(np.clip(residuals, -1e12, 1e12), nan=1e12)
+
+
+def _deviance(of: _Residuals, x: Array, noise: Mapping[str, float]) -> float:
+    residuals = _finite(of.residuals(x, noise))
+    counts = dict[str, int]()
+    for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
+        for name, values in zip(one.signals, each.T, strict=True):
+            counts[name] = counts.get(name, 0) + int(np.isfinite(values).sum())
+    return float(residuals @ residuals + 2 * sum(count * np.log(noise[name]) for name, count in counts.items()))
+
+
+def _poor(of: _Residuals, x: Array) -> bool:
+    """Returns True if a signal's residuals are not white and have more than a share of its mean square."""
+    for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
+        for name, values in zip(one.signals, each.T, strict=True):
+            if np.nanmean(values**2) > (1 - POOR) * of.scale[name] ** 2 and not whiteness(values).white:
+                return True
+    return False
+
+
+def _information(J: Array, p: int) -> tuple[Array, Array]:
+    """Returns R with R'R = the information on the first p unknowns beside all others, shape (p, p), and J's projected columns."""
+    nuisance, own = J[:, p:], J[:, :p]
+    if nuisance.shape[1]:
+        Q, R = np.linalg.qr(nuisance)
+        large = np.abs(np.diag(R)) > 1e-12 * np.abs(np.diag(R)).max(initial=0.0)
+        own = own - Q[:, large] @ (Q[:, large].T @ own)
+    return np.linalg.qr(own, mode="r"), own
+
+
+def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
+    """Returns the parameters to hold, those that no signal feels, and the directions that move no signal, at some unknowns."""
+    free, p = of.unknowns.free, len(of.unknowns.free)
+    R, _ = _information(of.jacobian(x, of.scale), p)
+    sizes = np.linalg.norm(R, axis=0)
+    silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
+    felt = [i for i, name in enumerate(free) if name not in silent]
+    if not felt:
+        return (), silent, ()
+    _, s, V = np.linalg.svd(R[:, felt] / sizes[felt])
+    # Columns are scaled to 1 to find the rank. Their directions follow in logarithms.
+    null = (V[s <= SINGULAR * s[0]] / sizes[felt]).T
+    if not null.size:
+        return (), silent, ()
+    held, rows = list[int](), null.copy()
+    order = sorted(range(len(felt)), key=lambda i: (not free[felt[i]].startswith("sprung_mass"), "mass" not in free[felt[i]], i))
+    for _ in range(null.shape[1]):
+        largest = np.abs(rows).max(axis=1)
+        pivot = next(i for i in order if i not in held and largest[i] > 0.1 * largest.max())
+        held.append(pivot)
+        column = int(np.argmax(np.abs(rows[pivot])))
+        rows = rows - np.outer(rows[:, column], rows[pivot]) / rows[pivot, column]
+    basis = null @ np.linalg.inv(null[held])
+    names = [free[i] for i in felt]
+    directions = tuple(
+        Direction({name: _tidy(power) for name, power in zip(names, column, strict=True) if abs(power) > 1e-5})
+        for column in basis.T
+    )
+    return tuple(names[i] for i in held), silent, directions
+
+
+def _estimate(
+    of: _Residuals,
+    solution: tuple[Array, dict[str, float], float],
+    held: tuple[str, ...],
+    silent: tuple[str, ...],
+    directions: tuple[Direction, ...],
+) -> Estimate:
+    """Returns the estimate of a solution with covariances and whiteness."""
+    x, noise, deviance = solution
+    u, p = of.unknowns, len(of.unknowns.free)
+    J = of.jacobian(x, noise)
+    R, own = _information(J, p)
+    inverse = np.linalg.pinv(R)
+    covariance = inverse @ inverse.T
+    differences, tests = of.differences(x, True), list[dict[str, Whiteness]]()
+    middle, row = np.zeros((p, p)), 0
+    masks = [np.isfinite(each) for each in differences]
+    for each, one, mask in zip(differences, of.problem.experiments, masks, strict=True):
+        block = np.full((*mask.shape, p), 0.0)
+        block[mask] = own[row : row + int(mask.sum())]
+        row += int(mask.sum())
+        tests.append({})
+        for i, name in enumerate(one.signals):
+            scaled = each[:, i] / noise[name]
+            tests[-1][name] = whiteness(scaled)
+            middle += autoregressive(scaled).sandwich(block[:, i])
+    middle += own[row:].T @ own[row:]
+    first = len(u.free)
+    return Estimate(
+        of.problem,
+        {**{name: of.fixed[name] for name in (*held, *silent)}, **{name: of.values(x)[name] for name in u.free}},
+        u.free,
+        held,
+        directions,
+        silent,
+        dict(zip(u.delayed, x[first : first + len(u.delayed)].tolist(), strict=True)),
+        noise,
+        covariance,
+        covariance @ middle @ covariance,
+        tuple(tests),
+        tuple(differences),
+        tuple(one.values for one in of.predicted(x)),
+        deviance,
+        of,
+        x,
+    )
+
+
+def profile(of: Estimate, name: str, limit: float = 8.0) -> tuple[float | None, float | None]:
+    """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
+
+    A side is open if the parameter can move by so many standard deviations, or by a factor of 1000, without that the likelihood
+    falls as far as at the end of an interval. If residuals are coloured, the likelihood counts for less, as in the robust
+    covariance.
+
+    Args:
+        name: a free parameter.
+        limit: number of standard deviations up to which an end is searched.
+    """
+    from scipy.optimize import brentq
+
+    i = of.free.index(name)
+    rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
+    best, others = np.log(of.values[name]), tuple(one for one in of.free if one != name)
+    warm = {0.0: np.delete(of.x, i)}
+
+    def excess(shift: float) -> float:
+        residuals = _Residuals(of.problem, others, {**of.values, name: float(np.exp(best + shift))})
+        nearest = min(warm, key=lambda one: abs(one - shift))
+        solution = _solve(residuals, warm[nearest])
+        warm[shift] = solution[0]
+        return solution[2] - of.deviance - rise
+
+    ends = list[float | None]()
+    deviation = min(max(float(np.sqrt(of.spread[i, i])), 1e-9), np.log(1000) / NORMAL)
+    for sign in (-1, 1):
+        low, high = 0.0, sign * NORMAL * deviation
+        last = sign * min(limit * deviation, np.log(1000))
+        while excess(high) < 0 and abs(high) < abs(last):
+            low, high = high, sign * min(abs(high) * 1.6, abs(last))
+        if excess(high) < 0:
+            ends.append(None)
+            continue
+        ends.append(float(np.exp(best + brentq(excess, low, high, xtol=1e-3 * deviation, rtol=1e-6))))
+    return ends[0], ends[1]

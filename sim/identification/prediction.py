@@ -1,0 +1,261 @@
+"""Signals of a vehicle over a measured road, and their derivatives by its parameters.
+
+A vehicle with straight springs and dampers has
+
+    x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
+
+with the road heights and forces v, which follow straight lines between samples. The step from sample to sample then is exact by
+the matrix exponential of [x; v; v'], and so are measurements at any time within the step: those of a sensor with a delay.
+
+Matrices of the step are differentiated by central differences. Derivatives of the response follow from these by the recursion of
+the response itself, so their error is that of the matrices, about 1e-10, for logs of any length.
+
+A vehicle with force elements or tables takes steps of RK4 (`sim.linear.stepped`). Its derivatives are differences of responses.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array, recursion
+from models.common.errors import InputError
+from models.vehicle.vehicle import Vehicle
+from sim.identification.experiment import Experiment
+
+DIFFERENCE = 1e-5  # relative step of differences of matrices: their error is its square
+STEPPED_DIFFERENCE = 1e-4  # relative step of differences of responses
+HUB, TYRE = "unsprung_velocity", "tyre_deflection"
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedSignals:
+    """Predicted measurements of an experiment with q channels, and their derivatives.
+
+    Attributes:
+        values: shape (T, q); NaN before the first sample that a sensor with a delay can measure.
+        by_parameter: derivative by the logarithm of each of p parameters, shape (p, T, q).
+        by_start: derivative by the n numbers of the state at the start, shape (n, T, q); n = 0 if it is known.
+        by_delay: derivative by the delay of each channel's own sensor, shape (T, q).
+    """
+
+    values: Array
+    by_parameter: Array
+    by_start: Array
+    by_delay: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Matrices of a step: x[k+1] = Phi x[k] + Gamma [v; v'], and the rows of all channels of [x; v; v'] with their rates."""
+
+    Phi: Array
+    Gamma: Array
+    rows: Array
+    rates: Array
+
+    def __sub__(self, other: "_Step") -> "_Step":
+        return _Step(*(getattr(self, name) - getattr(other, name) for name in ("Phi", "Gamma", "rows", "rates")))
+
+    def __truediv__(self, number: float) -> "_Step":
+        return _Step(self.Phi / number, self.Gamma / number, self.rows / number, self.rates / number)
+
+
+class Prediction:
+    """Signals of an experiment for any values of the parameters.
+
+    Args:
+        experiment: the experiment.
+        vehicle: vehicle of given values of parameters, by name.
+    """
+
+    def __init__(self, experiment: Experiment, vehicle: Callable[[Mapping[str, float]], Vehicle]) -> None:
+        self.experiment = experiment
+        self._vehicle = vehicle
+
+    def vehicle(self, values: Mapping[str, float]) -> Vehicle:
+        """Returns the vehicle as it is in this experiment, with what it carries."""
+        one = self._vehicle(values)
+        return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
+
+    @cached_property
+    def _inputs(self) -> Array:
+        """Inputs at the samples and their rates over the steps from there, shape (T, 2 v)."""
+        held = np.hstack([self.experiment.road, self.experiment.forces])
+        rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
+        return np.hstack([held, rates])
+
+    @cached_property
+    def _at_samples(self) -> Array:
+        """The same with the mean rate of the steps before and after: of a smooth road that is the rate at the sample."""
+        held, rates = np.hsplit(self._inputs, 2)
+        return np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
+
+    def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Returns the names of the states that an unknown start has."""
+        names = self.vehicle(values).linear_model.states
+        return tuple(name for name in names if not (self.experiment.hubs and name.startswith(TYRE)))
+
+    def __call__(
+        self,
+        values: Mapping[str, float],
+        free: Sequence[str],
+        start: Array | None,
+        delays: Sequence[float],
+        derivatives: bool = True,
+    ) -> PredictedSignals:
+        """Returns predicted signals.
+
+        Args:
+            values: values of all parameters [SI].
+            free: names of p parameters by whose logarithms the signals are differentiated.
+            start: state at the start, shape (n,); None for rest.
+            delays: delay of each channel [s].
+            derivatives: False to leave the derivatives empty.
+        """
+        if self.vehicle(values).parts.nonlinear:
+            return self._stepped(values, free, start, delays, derivatives)
+        step = self._step(values, delays)
+        n, inputs = len(step.Phi), self._inputs
+        first = np.zeros(n) if start is None else start
+        x = recursion(step.Phi, inputs @ step.Gamma.T, first)
+        places = self._places(x, delays)
+        value = self._read(step.rows, places)
+        if not derivatives:
+            return PredictedSignals(value, *(np.zeros((0, *value.shape)),) * 2, np.zeros_like(value))
+        changes = [self._by_logarithm(values, name, delays) for name in free]
+        forcing = np.zeros((len(free), *x.shape))
+        for i, one in enumerate(changes):
+            forcing[i] = x @ one.Phi.T + inputs @ one.Gamma.T
+        dx = recursion(step.Phi, forcing) if free else forcing
+        by_parameter = (
+            np.stack(
+                [
+                    self._read(one.rows, places) + self._read(step.rows[:, :n], self._places(dx[i], delays, states_only=True))
+                    for i, one in enumerate(changes)
+                ]
+            )
+            if free
+            else np.zeros((0, *value.shape))
+        )
+        by_start = np.zeros((0, *value.shape))
+        if start is not None:
+            # The response to a start without input, for all n starts side by side.
+            free_motion = recursion(step.Phi, np.zeros((n, *x.shape)), np.eye(n)[:, None, :])
+            by_start = np.stack(
+                [self._read(step.rows[:, :n], self._places(one, delays, states_only=True)) for one in free_motion]
+            )
+        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, places))
+
+    def _places(self, x: Array, delays: Sequence[float], states_only: bool = False) -> list[Array]:
+        """Returns what each channel reads at each sample: [x; v; v'] at the sample before its delayed time, shape (T, k)."""
+        h, own = self.experiment.step, []
+        for delay in delays:
+            before = math.ceil(delay / h - 1e-9)
+            inputs = self._at_samples if abs(before * h - delay) <= 1e-9 * h else self._inputs
+            whole = x if states_only else np.hstack([x, inputs])
+            if before > 0:
+                whole = np.vstack([np.full((min(before, len(whole)), whole.shape[1]), np.nan), whole[:-before]])
+            own.append(whole)
+        return own
+
+    @staticmethod
+    def _read(rows: Array, places: Sequence[Array]) -> Array:
+        return np.stack([place @ row for row, place in zip(rows, places, strict=True)], axis=-1)
+
+    def _step(self, values: Mapping[str, float], delays: Sequence[float]) -> _Step:
+        A, Bv, Bd, C, Dv, Dd = continuous_model(self.vehicle(values), self.experiment)
+        n, v, h = len(A), Bv.shape[1], self.experiment.step
+        M = np.zeros((n + 2 * v, n + 2 * v))
+        M[:n] = np.hstack([A, Bv, Bd])
+        M[n : n + v, n + v :] = np.eye(v)
+        whole, direct = linalg.expm(M * h), np.hstack([C, Dv, Dd])
+        rows, rates = np.empty_like(direct), np.empty_like(direct)
+        for i, delay in enumerate(delays):
+            within = math.ceil(delay / h - 1e-9) * h - delay  # time after the sample before
+            at = linalg.expm(M * within) if within > 1e-9 * h else np.eye(len(M))
+            rows[i] = direct[i] @ at
+            rates[i] = direct[i] @ M @ at
+        return _Step(whole[:n, :n], whole[:n, n:], rows, rates)
+
+    def _by_logarithm(self, values: Mapping[str, float], name: str, delays: Sequence[float]) -> _Step:
+        ahead, behind = ({**values, name: values[name] * (1 + sign * DIFFERENCE)} for sign in (1, -1))
+        return (self._step(ahead, delays) - self._step(behind, delays)) / (2 * DIFFERENCE)
+
+    def _stepped(
+        self, values: Mapping[str, float], free: Sequence[str], start: Array | None, delays: Sequence[float], derivatives: bool
+    ) -> PredictedSignals:
+        value = self._stepped_signals(values, start, delays)
+        empty = np.zeros((0, *value.shape))
+        if not derivatives:
+            return PredictedSignals(value, empty, empty, np.zeros_like(value))
+        h = STEPPED_DIFFERENCE
+        by_parameter = [
+            (
+                self._stepped_signals({**values, name: values[name] * (1 + h)}, start, delays)
+                - self._stepped_signals({**values, name: values[name] * (1 - h)}, start, delays)
+            )
+            / (2 * h)
+            for name in free
+        ]
+        by_start = []
+        if start is not None:
+            scales = 1e-3 * np.maximum(
+                np.abs(start), np.where([HUB in s or "velocity" in s for s in self.states(values)], 0.1, 0.01)
+            )
+            for i, scale in enumerate(scales):
+                moved = [np.where(np.arange(len(start)) == i, start + sign * scale, start) for sign in (1, -1)]
+                ahead, behind = (self._stepped_signals(values, one, delays) for one in moved)
+                by_start.append((ahead - behind) / (2 * scale))
+        rate = np.gradient(value, self.experiment.step, axis=0)
+        return PredictedSignals(
+            value, np.stack(by_parameter) if free else empty, np.stack(by_start) if by_start else empty, -rate
+        )
+
+    def _stepped_signals(self, values: Mapping[str, float], start: Array | None, delays: Sequence[float]) -> Array:
+        from models.roads.rig import Rig
+        from models.roads.road import RoadInput
+        from sim.linear.stepped import forced_run
+
+        one, vehicle = self.experiment, self.vehicle(values)
+        if one.hubs:
+            raise InputError("an unknown road needs straight springs and dampers; give the road, or a vehicle without tables")
+        posts = tuple(wheel.road_displacement for wheel in vehicle.kind.wheels)
+        if start is not None:
+            vehicle = replace(vehicle, start=dict(zip(vehicle.linear_model.states, start.tolist(), strict=True)))
+        time = one.step * np.arange(len(one.road))
+        road = RoadInput(vehicle, Rig(time, one.road, posts), time)
+        response = forced_run(one.forces, road).response
+        each = [response[name][0] for name in one.signals]
+        for i, delay in enumerate(delays):
+            if delay:
+                each[i] = np.interp(time - delay, time, each[i], left=np.nan)
+        return np.stack(each, axis=-1)
+
+
+def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Returns A, Bv, Bd, C, Dv, Dd of an experiment: see the head of this module.
+
+    If the road is unknown, the inputs are accelerations of the hubs instead of heights, and there are no tyres.
+
+    Raises:
+        InputError: the road is unknown, and an inerter couples the hubs with the body.
+    """
+    model = vehicle.linear_model
+    rows = [model.outputs.index(name) for name in experiment.signals]
+    r, m = len(model.disturbances), len(model.inputs)
+    Bv, Bd = np.hstack([model.Br, model.B]), np.hstack([model.Bw, np.zeros((len(model.A), m))])
+    C, Dv, Dd = model.C[rows], np.hstack([model.Cr, model.D])[rows], np.hstack([model.Dw, np.zeros((len(model.C), m))])[rows]
+    if not experiment.hubs:
+        return model.A, Bv, Bd, C, Dv, Dd
+    if vehicle.inertial:
+        raise InputError("an unknown road cannot be combined with an inerter; give the road, or fix the inerter in another log")
+    hubs = [i for i, name in enumerate(model.states) if name.startswith(HUB)]
+    kept = [i for i, name in enumerate(model.states) if not name.startswith(TYRE)]
+    A, B = model.A.copy(), np.hstack([np.zeros((len(model.A), r)), model.B])
+    A[hubs], B[hubs] = 0.0, 0.0
+    B[hubs, range(r)] = 1.0
+    return A[np.ix_(kept, kept)], B[kept], np.zeros((len(kept), r + m)), C[:, kept], np.hstack([0 * Dv[:, :r], Dv[:, r:]]), 0 * Dd
