@@ -5,14 +5,16 @@ of g that the unknowns do not explain, and the share of the residuals' squares t
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
 from sim.identification.estimate import Estimate, IdentificationProblem
+from sim.identification.experiment import Channel
 from sim.identification.prediction import Prediction, continuous_model
 from sim.identification.whiteness import autoregressive
 
@@ -47,6 +49,9 @@ class Cause:
     deviations: float
 
 
+FULL = 0.01  # of the largest speed: below it friction is a straight line, so that noise has none
+
+
 def check_columns(problem: IdentificationProblem) -> list[str]:
     """Compares the columns with the first vehicle before anything is fitted; returns remarks.
 
@@ -66,8 +71,8 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
             named = next((words for factor, words in FACTORS.items() if abs(ratio / factor - 1) < NEAR), "")
             if own > ALIKE and named:
                 raise InputError(
-                    f"{one.name}: {channel.signal} is {ratio:.4g} times what this vehicle would do; the column seems to be {named}: "
-                    "write its unit in the map"
+                    f"{one.name}: {channel.signal} is {ratio:.4g} times what this vehicle would do; the column seems to be "
+                    f"{named}: write its unit in the map"
                 )
             if own < -ALIKE:
                 raise InputError(
@@ -151,12 +156,10 @@ def _friction(prediction: Prediction, vehicle: Vehicle, force: str) -> Array:
     alone = Prediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
     travel = alone({}, (), None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
     speed = np.gradient(travel, one.step)
-    # The force pulls the ends together as they move apart. Near zero speed it is a straight line, so that noise is not friction.
-    pull = np.clip(speed / max(0.02 * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
+    # The force pulls the ends together as they move apart.
+    pull = np.clip(speed / max(FULL * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
     A, Bv, _, C, Dv, _ = continuous_model(vehicle, one)
     column = one.road.shape[1] + model.inputs.index(force)
-    from scipy import linalg
-
     n = len(A)
     M = np.zeros((n + 1, n + 1))
     M[:n, :n], M[:n, n] = A, Bv[:, column]
@@ -199,10 +202,6 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
     for i, one in enumerate(of.problem.predictions):
         if one.experiment.hubs:
             continue
-        from dataclasses import replace
-
-        from sim.identification.experiment import Channel
-
         vehicle = one.vehicle(of.values)
         limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)
         names = [name for name in limits if name in vehicle.linear_model.outputs]
@@ -213,7 +212,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
         if first is not None and not len(first):
             first = None
         values = alone({}, (), first, [0.0] * len(names), False).values
-        air = (values > [abs(limits[name]) for name in names]).any(axis=1)
+        air = np.asarray((values > [abs(limits[name]) for name in names]).any(axis=1))
         if air.any():
             each.append((i, air))
     return each

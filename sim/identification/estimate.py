@@ -306,15 +306,7 @@ class Estimate:
     @property
     def fits(self) -> list[dict[str, float]]:
         """Share of each signal's rms about its mean that the prediction explains, of each experiment."""
-        each = list[dict[str, float]]()
-        for one, difference in zip(self.problem.experiments, self.differences, strict=True):
-            own = dict[str, float]()
-            for channel, values in zip(one.channels, difference.T, strict=True):
-                counted = np.isfinite(values)
-                spread = float(channel.values[counted].std())
-                own[channel.signal] = 1 - float(np.sqrt(np.mean(values[counted] ** 2))) / spread if spread else 0.0
-            each.append(own)
-        return each
+        return measured_fits(self.problem.experiments, self.differences)
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
@@ -328,6 +320,24 @@ class Estimate:
             name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}
             for name, row in zip(self.free, shares, strict=True)
         }
+
+
+def measured_fits(experiments: Sequence[Experiment], differences: Sequence[Array]) -> list[dict[str, float]]:
+    """Returns the share of each signal's rms about its mean that a prediction explains, of each experiment."""
+    each = list[dict[str, float]]()
+    for one, difference in zip(experiments, differences, strict=True):
+        each.append({})
+        for channel, values in zip(one.channels, difference.T, strict=True):
+            counted = np.isfinite(values)
+            spread = float(channel.values[counted].std()) if counted.any() else 0.0
+            each[-1][channel.signal] = 1 - float(np.sqrt(np.mean(values[counted] ** 2))) / spread if spread else 0.0
+    return each
+
+
+def start_and_offsets(problem: IdentificationProblem) -> list[Array]:
+    """Returns predicted less measured signals with the first values, and the starts and offsets that fit best."""
+    residuals = _Residuals(problem, (), {})
+    return residuals.differences(_first(residuals), True)
 
 
 def _tidy(number: float) -> float:
@@ -390,15 +400,21 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
 
 def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
     """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters by turns."""
-    from scipy.optimize import least_squares
-
     noise = of.noise(x)
     for _ in range(ROUNDS):
-        x = least_squares(lambda x, noise: _finite(of.residuals(x, noise)), x, of.jacobian, args=(noise,), **TOLERANCES).x
+        x = _least_squares(of, x, noise)
         before, noise = noise, of.noise(x)
         if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
             break
     return x, noise, _deviance(of, x, noise)
+
+
+def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float]) -> Array:
+    """Returns the unknowns of the least squares of residuals over a noise."""
+    from scipy.optimize import least_squares
+
+    jacobian: Any = of.jacobian
+    return least_squares(lambda x, noise: _finite(of.residuals(x, noise)), x, jacobian, args=(noise,), **TOLERANCES).x
 
 
 def _finite(residuals: Array) -> Array:
@@ -431,7 +447,7 @@ def _information(J: Array, p: int) -> tuple[Array, Array]:
         Q, R = np.linalg.qr(nuisance)
         large = np.abs(np.diag(R)) > 1e-12 * np.abs(np.diag(R)).max(initial=0.0)
         own = own - Q[:, large] @ (Q[:, large].T @ own)
-    return np.linalg.qr(own, mode="r"), own
+    return np.linalg.qr(own).R, own
 
 
 def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
@@ -548,5 +564,5 @@ def profile(of: Estimate, name: str, limit: float = 8.0) -> tuple[float | None, 
         if excess(high) < 0:
             ends.append(None)
             continue
-        ends.append(float(np.exp(best + brentq(excess, low, high, xtol=1e-3 * deviation, rtol=1e-6))))
+        ends.append(float(np.exp(best + brentq(excess, low, high, xtol=1e-3 * deviation, rtol=np.float64(1e-6)))))
     return ends[0], ends[1]

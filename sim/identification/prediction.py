@@ -125,7 +125,8 @@ class Prediction:
         places = self._places(x, delays)
         value = self._read(step.rows, places)
         if not derivatives:
-            return PredictedSignals(value, *(np.zeros((0, *value.shape)),) * 2, np.zeros_like(value))
+            none = np.zeros((0, *value.shape))
+            return PredictedSignals(value, none, none, np.zeros_like(value))
         changes = [self._by_logarithm(values, name, delays) for name in free]
         forcing = np.zeros((len(free), *x.shape))
         for i, one in enumerate(changes):

@@ -108,7 +108,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     inputs, more = _filled(np.hstack([road, forces]), [*heights, *model.inputs])
     remarks += more + _slow(inputs[:, : len(heights)], step, hubs)
     experiments = list[Experiment]()
-    for first, last in _runs(np.isfinite(inputs).all(axis=1)):
+    for first, last in _runs(np.asarray(np.isfinite(inputs).all(axis=1))):
         if last - first < LEAST:
             continue
         channels = tuple(_channel(name, values[name][first:last], sensors[name]) for name in values)
@@ -151,6 +151,7 @@ def _grid(time: Array) -> tuple[float, Array, list[str]]:
     usual = float(np.median(diffs))
     places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
     # The step is that of a straight line through all times, as rounded times have no exact step by themselves.
+    step = usual
     for _ in range(3):
         step = float(np.polyfit(places, time - time[0], 1)[0])
         again = np.round((time - time[0]) / step).astype(int)
@@ -199,8 +200,8 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
     finite = values[counted]
     if unit == "m" and len(finite) and np.abs(finite - np.median(finite)).max() > DEEP:
         raise InputError(
-            f"{name} moves by {np.abs(finite - np.median(finite)).max():.4g} m; if the column is in mm, write its unit in the map, "
-            f'as in column = "HEADING [mm]"'
+            f"{name} moves by {np.abs(finite - np.median(finite)).max():.4g} m; if the column is in mm, write its unit in the "
+            'map, as in column = "HEADING [mm]"'
         )
     if len(finite) < 2 or np.ptp(finite) == 0:
         return np.full_like(values, np.nan), [f"{name} is constant, and does not count"]

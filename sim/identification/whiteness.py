@@ -76,7 +76,7 @@ class Autoregressive:
         from scipy.signal import lfilter
 
         # R = s^2 (A'A)^-1, so J'RJ is that of the columns behind 1/A backwards in time.
-        behind = lfilter([1.0], self.coefficients, columns[::-1], axis=0) * self.deviation
+        behind = np.asarray(lfilter([1.0], self.coefficients, columns[::-1], axis=0)) * self.deviation
         return behind.T @ behind
 
 

@@ -1,0 +1,96 @@
+"""The command `roadproof identify`: a vehicle file from measured logs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.common.command import Parser
+from sim.studies.study import Progress, Study, StudyRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from models.document.document import Document
+    from models.document.figure import Figure
+    from sim.identification.identification import Identification
+
+
+class IdentifyStudy(Study["Identification"]):
+    """Identification of a vehicle from logs."""
+
+    description = (
+        "Identify the parameters of a vehicle from measured logs, with 95 %% intervals and what the logs do not determine."
+    )
+    epilog = """
+exit code: 0 the residuals are white; 1 they are not, so the vehicle lacks something; 2 invalid input
+
+examples:
+  python -m sim.identify rig.csv --vehicle start.toml --signals map.toml --out found.toml
+  python -m sim.identify drive.mcap --vehicle quarter_car --fix sprung_mass
+  python -m sim.identify rig.csv --vehicle start.toml --columns > map.toml
+"""
+    page = "docs/how-to/identify.md"
+    takes = ""
+    stages = ("logs and estimate",)
+
+    def add_options(self, parser: Parser) -> None:
+        parser.add_argument("files", nargs="+", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
+        parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with first values")
+        parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")
+        parser.add_argument("--columns", action="store_true", help="print a first map from the headings of the logs, and stop")
+        parser.add_argument("--fix", action="append", default=[], metavar="NAME", help="parameter that keeps its value")
+        parser.add_argument("--free", action="append", default=[], metavar="NAME", help="further parameter to estimate")
+        parser.add_argument(
+            "--hold-out", action="append", type=Path, default=[], metavar="LOG", help="log that is only predicted"
+        )
+        parser.add_argument("--out", type=Path, metavar="FILE", help="write the identified vehicle (.toml)")
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and predicted signals; needs matplotlib")
+        parser.add_count("--seed", "seed of further starts", "0", 0, 2**31, 0)
+        parser.add_printed("shares of correlations outside their bounds")
+
+    def check(self, request: StudyRequest) -> None:
+        from models.document.outputs import check_outputs
+
+        options = request.options
+        check_outputs({"save": options.out}, [*options.files, *options.hold_out], options.json)
+
+    def run(self, request: StudyRequest, progress: Progress) -> "Identification":
+        from models.common.files import whole_file
+        from models.vehicle.vehicle import read_vehicle
+        from sim.identification.identification import identify
+        from sim.identification.report import vehicle_text
+
+        options = request.options
+        vehicle = read_vehicle(options.vehicle)
+        progress("logs and estimate")
+        result = identify(options.files, vehicle, options.signals, options.fix, options.free, options.hold_out, options.seed)
+        if options.out is not None:
+            text = vehicle_text(result, options.files)
+            with whole_file(options.out, "save") as beside:
+                beside.write_text(text, encoding="utf-8", newline="\n")
+        return result
+
+    def title(self, request: StudyRequest, result: "Identification") -> str:
+        logs = ", ".join(path.name for path in request.options.files)
+        return f"{result.vehicle.kind.name} identified from {logs}"
+
+    def lines(self, request: StudyRequest, result: "Identification", files: "Sequence[str]") -> list[str]:
+        out = request.options.out
+        return super().lines(request, result, [*files, *([f"  vehicle file: {out}"] if out is not None else [])])
+
+    def describe(self, request: StudyRequest, result: "Identification") -> "Document":
+        from sim.identification.report import describe
+
+        return describe(result)
+
+    def record(self, request: StudyRequest, result: "Identification") -> dict[str, Any]:
+        from sim.identification.report import record
+
+        return record(result)
+
+    def figure(self, request: StudyRequest, result: "Identification") -> "Figure":
+        from sim.identification.report import figure
+
+        return figure(result)
+
+    def holds(self, result: "Identification") -> bool:
+        return result.estimate.white
