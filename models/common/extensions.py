@@ -191,7 +191,11 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "front": f"{_FREQUENCY}:FrontStudy",
         "paper": "sim.report.designs:PaperStudy",
         "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
-        "identify": ("sim.identification.command:IdentifyStudy", "identify a vehicle from measured logs", "LOG --signals --out"),
+        "identify": (
+            "sim.studies.identification.command:IdentifyStudy",
+            "identify a vehicle from measured logs",
+            "LOG --signals --out",
+        ),
     },
 }
 EXTENSIONS = {sort: Registry(sort, rows) for sort, rows in _ROWS.items()}

@@ -11,25 +11,26 @@ from models.common.arrays import Array
 from models.common.errors import InputError, alike, short_repr
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.samples import with_sample
-from sim.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
-from sim.identification.estimate import (
+from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
+from sim.studies.identification.estimate import (
     CHI2,
     Estimate,
     IdentificationProblem,
     estimate,
     measured_fits,
+    nearby,
     profile,
     start_and_offsets,
 )
-from sim.identification.experiment import Experiment
-from sim.identification.log_map import LogMap, read_map
-from sim.identification.reading import LEAST, LogStretches, read_experiments
+from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.log_map import LogMap, read_map
+from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
 
 UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
 SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
 SKEWED = 0.2  # standard deviation of a logarithm from which the interval comes from the profile of the likelihood
 AFTER = 0.5  # s after a landing in which samples do not count: the tyre is not linear there
-MOST_STARTS = 6  # further starts at which other solutions are looked for
+ANOTHER = 0.1  # difference of a logarithm from which a solution is another one
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,9 @@ class Identification:
 
 def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
     """Returns a vehicle with other values; the number of a table's parameter, its slope at rest, multiplies the whole table."""
+    optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
+    if missing := {name: value for name, value in values.items() if name in optional}:
+        vehicle = vehicle.altered(missing)
     curves = {
         name: curve.scaled(values[name] / vehicle.parameters[name]) if name in values else curve
         for name, curve in vehicle.curves.items()
@@ -97,21 +101,27 @@ def free_parameters(vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[st
         InputError: a name is not a parameter of the vehicle, or cannot be estimated.
     """
     units = {one.name: one.unit for one in vehicle.kind.parameters}
-    numbers = {key: value for element in vehicle.elements for key, (value, _) in element.numbers.items()}
+    numbers = _numbers(vehicle)
+    given = {**{one.name: one.usual or 0.0 for one in vehicle.kind.parameters}, **vehicle.parameters, **numbers}
     for name in (*fix, *free):
-        if name not in vehicle.parameters and name not in numbers:
-            raise InputError(f"{short_repr(name)} is not a parameter; give one of {alike(name, [*vehicle.parameters, *numbers])}")
+        if name not in given:
+            raise InputError(f"{short_repr(name)} is not a parameter; give one of {alike(name, given)}")
     for name in fix:
         if name in free:
             raise InputError(f"{name} is fixed and free; give it once")
     first = {name: value for name, value in vehicle.parameters.items() if units.get(name) in UNITS and value > 0}
-    first |= {name: {**vehicle.parameters, **numbers}[name] for name in free}
+    first |= {name: given[name] for name in free}
     for name in free:
         if first[name] < 0:
             raise InputError(f"{name} = {first[name]:g} cannot be estimated: only numbers above 0 can")
         if first[name] == 0:
             first[name] = _small(vehicle, name, units)
     return {name: value for name, value in first.items() if name not in fix}
+
+
+def _numbers(vehicle: Vehicle) -> dict[str, float]:
+    """Returns the numbers of force elements by NAME.key."""
+    return {key: value for element in vehicle.elements for key, (value, _) in element.numbers.items()}
 
 
 def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
@@ -135,7 +145,7 @@ def identify(
     """Identifies the parameters of a vehicle from logs.
 
     Args:
-        logs: files of logs, see `sim.identification.reading`.
+        logs: files of logs, see `sim.studies.identification.reading`.
         vehicle: vehicle with first values. All that is not free stays as it is.
         log_map: which column is which signal; None for logs whose headings are names of signals.
         fix: parameters that keep their values.
@@ -164,7 +174,8 @@ def identify_experiments(
     """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
     first = free_parameters(vehicle, fix, free)
     experiments = tuple(one for log in logs for one in log.experiments)
-    problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known)
+    zero = frozenset(name for name in free if not {**vehicle.parameters, **_numbers(vehicle)}.get(name))
+    problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known, zero)
     remarks = [one for log in logs for one in log.remarks] + check_columns(problem)
     result = estimate(problem, tuple(first), seed)
     if air := airborne(result):
@@ -176,7 +187,7 @@ def identify_experiments(
     for name in result.free:
         if result.ratios and set(result.ratios[name]) != {name}:
             continue
-        if result.deviations[name] < SKEWED:
+        if result.deviations[name] < SKEWED and name not in zero:
             intervals[name] = Interval(*result.interval(name), "covariance" if result.white else "robust")
         else:
             intervals[name] = Interval(*profile(result, name), "profile")
@@ -228,13 +239,10 @@ def _mirror(of: Estimate) -> dict[str, float]:
     share = values["sprung_mass"] / (values["sprung_mass"] + values["unsprung_mass"])
     k_s, c_s, k_t, c_t = (values[name] for name in names)
     other = dict(zip(names, (k_t * share, c_t * share, k_s / share, c_s / share), strict=True))
-    problem = replace(of.problem, first={**of.values, **other})
-    again = estimate(problem, of.free)
-    return dict(again.values) if again.deviance < of.deviance + CHI2 and _differ(again, of) else {}
-
-
-def _differ(one: Estimate, other: Estimate) -> bool:
-    return any(abs(np.log(one.values[name] / other.values[name])) > 0.1 for name in one.free)
+    again = nearby(replace(of.problem, first={**of.values, **other}), of.free, of.deviance + CHI2)
+    if again is None or not any(abs(np.log(again[name] / of.values[name])) > ANOTHER for name in names if of.values[name]):
+        return {}
+    return again
 
 
 def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from models.common.errors import list_names
+from models.common.files import parse_toml
 from models.common.printed import finite
 from models.common.toml_edit import Replacement, section_lines, with_replacements
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
 from models.document.figure import Curve, Figure, Panel
 from models.vehicle.in_place import with_sections
-from sim.identification.estimate import Estimate
-from sim.identification.identification import Identification
+from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.identification import Identification
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
@@ -246,11 +247,9 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     vehicle, estimate = of.vehicle, of.estimate
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]
-    replaced = [
-        Replacement(("parameters", name), {name: float(f"{estimate.values[name]:.8g}")})
-        for name in estimate.free
-        if name in start.parameters and name not in tables
-    ]
+    written = parse_toml(start.text)["parameters"]
+    values = {name: float(f"{estimate.values[name]:.8g}") for name in estimate.free if name not in tables}
+    replaced = [Replacement(("parameters", name), {name: value}) for name, value in values.items() if name in written]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
     held = {name: "not determined: the logs give only its products with others" for name in estimate.held}

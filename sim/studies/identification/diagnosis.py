@@ -13,10 +13,10 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from sim.identification.estimate import Estimate, IdentificationProblem
-from sim.identification.experiment import Channel
-from sim.identification.prediction import Prediction, continuous_model
-from sim.identification.whiteness import autoregressive
+from sim.studies.identification.estimate import Estimate, IdentificationProblem
+from sim.studies.identification.experiment import Channel
+from sim.studies.identification.prediction import Prediction, continuous_model
+from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {
     1000.0: "in thousandths of its unit, such as mm",
@@ -62,7 +62,7 @@ def check_columns(problem: IdentificationProblem) -> list[str]:
     for one, prediction in zip(problem.experiments, problem.predictions, strict=True):
         start = None if one.from_rest else np.zeros(len(prediction.states(problem.first)))
         delays = [channel.delay for channel in one.channels]
-        predicted = prediction(problem.first, (), start, delays, False).values
+        predicted = prediction(problem.first, {}, start, delays, False).values
         correlations = np.array([[_correlation(channel.values, column) for column in predicted.T] for channel in one.channels])
         units = [problem.vehicle.kind.possible[channel.signal].unit for channel in one.channels]
         for i, channel in enumerate(one.channels):
@@ -151,10 +151,10 @@ def _friction(prediction: Prediction, vehicle: Vehicle, force: str) -> Array:
     deflection = vehicle.kind.deflection_of(force)
     from dataclasses import replace
 
-    from sim.identification.experiment import Channel
+    from sim.studies.identification.experiment import Channel
 
     alone = Prediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
-    travel = alone({}, (), None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
+    travel = alone({}, {}, None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
     speed = np.gradient(travel, one.step)
     # The force pulls the ends together as they move apart.
     pull = np.clip(speed / max(FULL * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
@@ -176,7 +176,7 @@ def _by_parameter(of: Estimate, name: str) -> list[Array]:
         start, _ = of.residuals.unknowns.of_experiment(i)
         first = of.x[start] if of.residuals.unknowns.starts[i] else None
         delays = of.residuals.delays(of.x, one.experiment)
-        moved = [one({**of.values, name: value + more}, (), first, delays, False).values for more in (step, 0.0)]
+        moved = [one({**of.values, name: value + more}, {}, first, delays, False).values for more in (step, 0.0)]
         each.append((moved[0] - moved[1]) / step)
     return each
 
@@ -211,7 +211,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
         first = of.x[start] if of.residuals.unknowns.starts[i] else None
         if first is not None and not len(first):
             first = None
-        values = alone({}, (), first, [0.0] * len(names), False).values
+        values = alone({}, {}, first, [0.0] * len(names), False).values
         air = np.asarray((values > [abs(limits[name]) for name in names]).any(axis=1))
         if air.any():
             each.append((i, air))

@@ -26,7 +26,7 @@ from models.common.errors import InputError, alike, short_repr
 from models.common.files import parse_toml, read_text
 from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, ReadBy, Section, Text, read
 from models.vehicle.vehicle import Vehicle
-from sim.identification.estimate import Known
+from sim.studies.identification.estimate import Known
 
 ESTIMATE = "estimate"
 LOGGED, FLAT, UNKNOWN = "logged", "flat", "unknown"

@@ -24,7 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from sim.identification.experiment import Experiment
+from sim.studies.identification.experiment import Experiment
 
 DIFFERENCE = 1e-5  # relative step of differences of matrices: their error is its square
 STEPPED_DIFFERENCE = 1e-4  # relative step of differences of responses
@@ -37,7 +37,7 @@ class PredictedSignals:
 
     Attributes:
         values: shape (T, q); NaN before the first sample that a sensor with a delay can measure.
-        by_parameter: derivative by the logarithm of each of p parameters, shape (p, T, q).
+        by_parameter: derivative by each of p parameters, per SI unit, shape (p, T, q).
         by_start: derivative by the n numbers of the state at the start, shape (n, T, q); n = 0 if it is known.
         by_delay: derivative by the delay of each channel's own sensor, shape (T, q).
     """
@@ -102,7 +102,7 @@ class Prediction:
     def __call__(
         self,
         values: Mapping[str, float],
-        free: Sequence[str],
+        free: Mapping[str, float],
         start: Array | None,
         delays: Sequence[float],
         derivatives: bool = True,
@@ -111,7 +111,7 @@ class Prediction:
 
         Args:
             values: values of all parameters [SI].
-            free: names of p parameters by whose logarithms the signals are differentiated.
+            free: size of each of p parameters by which the signals are differentiated, by name.
             start: state at the start, shape (n,); None for rest.
             delays: delay of each channel [s].
             derivatives: False to leave the derivatives empty.
@@ -127,7 +127,7 @@ class Prediction:
         if not derivatives:
             none = np.zeros((0, *value.shape))
             return PredictedSignals(value, none, none, np.zeros_like(value))
-        changes = [self._by_logarithm(values, name, delays) for name in free]
+        changes = [self._by_parameter(values, name, size, delays) for name, size in free.items()]
         forcing = np.zeros((len(free), *x.shape))
         for i, one in enumerate(changes):
             forcing[i] = x @ one.Phi.T + inputs @ one.Gamma.T
@@ -182,26 +182,27 @@ class Prediction:
             rates[i] = direct[i] @ M @ at
         return _Step(whole[:n, :n], whole[:n, n:], rows, rates)
 
-    def _by_logarithm(self, values: Mapping[str, float], name: str, delays: Sequence[float]) -> _Step:
-        ahead, behind = ({**values, name: values[name] * (1 + sign * DIFFERENCE)} for sign in (1, -1))
-        return (self._step(ahead, delays) - self._step(behind, delays)) / (2 * DIFFERENCE)
+    def _by_parameter(self, values: Mapping[str, float], name: str, size: float, delays: Sequence[float]) -> _Step:
+        ahead, behind = _both_sides(values, name, DIFFERENCE * size)
+        return (self._step(ahead, delays) - self._step(behind, delays)) / (ahead[name] - behind[name])
 
     def _stepped(
-        self, values: Mapping[str, float], free: Sequence[str], start: Array | None, delays: Sequence[float], derivatives: bool
+        self,
+        values: Mapping[str, float],
+        free: Mapping[str, float],
+        start: Array | None,
+        delays: Sequence[float],
+        derivatives: bool,
     ) -> PredictedSignals:
         value = self._stepped_signals(values, start, delays)
         empty = np.zeros((0, *value.shape))
         if not derivatives:
             return PredictedSignals(value, empty, empty, np.zeros_like(value))
-        h = STEPPED_DIFFERENCE
-        by_parameter = [
-            (
-                self._stepped_signals({**values, name: values[name] * (1 + h)}, start, delays)
-                - self._stepped_signals({**values, name: values[name] * (1 - h)}, start, delays)
-            )
-            / (2 * h)
-            for name in free
-        ]
+        by_parameter = list[Array]()
+        for name, size in free.items():
+            ahead, behind = _both_sides(values, name, STEPPED_DIFFERENCE * size)
+            moved = [self._stepped_signals(one, start, delays) for one in (ahead, behind)]
+            by_parameter.append((moved[0] - moved[1]) / (ahead[name] - behind[name]))
         by_start = []
         if start is not None:
             scales = 1e-3 * np.maximum(
@@ -235,6 +236,11 @@ class Prediction:
             if delay:
                 each[i] = np.interp(time - delay, time, each[i], left=np.nan)
         return np.stack(each, axis=-1)
+
+
+def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns the parameters with one of them larger and smaller by a step, but not below zero."""
+    return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
 
 
 def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, Array, Array, Array, Array, Array]:

@@ -11,8 +11,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
 from models.vehicle.vehicle import Vehicle
-from sim.identification.experiment import Channel, Experiment
-from sim.identification.log_map import FLAT, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.log_map import FLAT, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
 
 GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
 LEAST = 50  # samples of a stretch

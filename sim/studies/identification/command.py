@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser
+from models.common.printed import title_lines
 from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
@@ -11,15 +12,13 @@ if TYPE_CHECKING:
 
     from models.document.document import Document
     from models.document.figure import Figure
-    from sim.identification.identification import Identification
+    from sim.studies.identification.identification import Identification
 
 
 class IdentifyStudy(Study["Identification"]):
     """Identification of a vehicle from logs."""
 
-    description = (
-        "Identify the parameters of a vehicle from measured logs, with 95 %% intervals and what the logs do not determine."
-    )
+    description = "Identify the parameters of a vehicle from measured logs, with intervals and what they do not determine."
     epilog = """
 exit code: 0 the residuals are white; 1 they are not, so the vehicle lacks something; 2 invalid input
 
@@ -56,8 +55,8 @@ examples:
     def run(self, request: StudyRequest, progress: Progress) -> "Identification":
         from models.common.files import whole_file
         from models.vehicle.vehicle import read_vehicle
-        from sim.identification.identification import identify
-        from sim.identification.report import vehicle_text
+        from sim.studies.identification.identification import identify
+        from sim.studies.identification.report import vehicle_text
 
         options = request.options
         vehicle = read_vehicle(options.vehicle)
@@ -74,21 +73,25 @@ examples:
         return f"{result.vehicle.kind.name} identified from {logs}"
 
     def lines(self, request: StudyRequest, result: "Identification", files: "Sequence[str]") -> list[str]:
-        out = request.options.out
-        return super().lines(request, result, [*files, *([f"  vehicle file: {out}"] if out is not None else [])])
+        from models.document.text import text_lines
+
+        options = request.options
+        out = [f"  vehicle file: {options.out}"] if options.out is not None else []
+        title = title_lines(self.title(request, result), result.vehicle.source)
+        return [*title, *files, *out, "", *text_lines(self.describe(request, result), "full" if options.verbose else "normal")]
 
     def describe(self, request: StudyRequest, result: "Identification") -> "Document":
-        from sim.identification.report import describe
+        from sim.studies.identification.report import describe
 
         return describe(result)
 
     def record(self, request: StudyRequest, result: "Identification") -> dict[str, Any]:
-        from sim.identification.report import record
+        from sim.studies.identification.report import record
 
         return record(result)
 
     def figure(self, request: StudyRequest, result: "Identification") -> "Figure":
-        from sim.identification.report import figure
+        from sim.studies.identification.report import figure
 
         return figure(result)
 

@@ -13,6 +13,7 @@ Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a s
 (J'J)^-1 J'RJ (J'J)^-1 with the autocovariance R of an autoregressive model of each sensor's residuals.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,9 +24,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.vehicle.vehicle import Vehicle
-from sim.identification.experiment import Experiment
-from sim.identification.prediction import PredictedSignals, Prediction
-from sim.identification.whiteness import Whiteness, autoregressive, whiteness
+from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.prediction import PredictedSignals, Prediction
+from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
 NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
 CHI2 = NORMAL**2  # rise of -2 log likelihood at its ends
@@ -35,6 +36,8 @@ SETTLED = 1e-6  # relative change of noise at which it is settled
 ROUNDS = 30  # of noise and parameters by turns
 SPREAD = 1.2  # of the logarithms of further starts: a factor of 3
 STARTS = 12
+FAR = 100.0  # deviance above that of a solution, from which a start does not lead to an equal one
+FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
 TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 60}
 POOR = 0.9  # share of a signal's mean square that a fit explains, below which other starts are tried
 
@@ -64,6 +67,7 @@ class IdentificationProblem:
         vehicle: vehicle with the first values of its parameters.
         change: the vehicle with other values of some parameters.
         first: first values of all free parameters, above 0, by name.
+        from_zero: names of those that may be zero; others have logarithms.
         experiments: the experiments.
         known: combinations that are known from elsewhere.
     """
@@ -73,6 +77,7 @@ class IdentificationProblem:
     first: Mapping[str, float]
     experiments: tuple[Experiment, ...]
     known: tuple[Known, ...] = ()
+    from_zero: frozenset[str] = frozenset()
 
     @cached_property
     def predictions(self) -> tuple[Prediction, ...]:
@@ -126,7 +131,21 @@ class _Residuals:
 
     def values(self, x: Array) -> dict[str, float]:
         """Returns the values of all parameters."""
-        return {**self.fixed, **dict(zip(self.unknowns.free, np.exp(x[: len(self.unknowns.free)]).tolist(), strict=True))}
+        values = dict(self.fixed)
+        for name, number in zip(self.unknowns.free, x.tolist(), strict=False):
+            values[name] *= (
+                max(number, 0.0) if name in self.problem.from_zero else math.exp(min(max(number, -FURTHEST), FURTHEST))
+            )
+        return values
+
+    def coordinate(self, name: str, value: float) -> float:
+        """Returns the unknown of a parameter: the logarithm of its ratio to the first value, or the ratio if it may be zero."""
+        ratio = value / self.fixed[name]
+        return ratio if name in self.problem.from_zero else math.log(ratio)
+
+    def sizes(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Returns the derivative of each free parameter by its unknown, by name."""
+        return {name: (self.fixed if name in self.problem.from_zero else values)[name] for name in self.unknowns.free}
 
     def delays(self, x: Array, experiment: Experiment) -> list[float]:
         """Returns the delays of an experiment's channels [s]."""
@@ -142,7 +161,7 @@ class _Residuals:
         for i, one in enumerate(self.problem.predictions):
             start, offset = self.unknowns.of_experiment(i)
             first = x[start] if self.unknowns.starts[i] else None
-            signals = one(values, self.unknowns.free, first, self.delays(x, one.experiment), derivatives)
+            signals = one(values, self.sizes(values), first, self.delays(x, one.experiment), derivatives)
             shift = np.zeros(signals.values.shape[1])
             shift[list(self.unknowns.offsets[i])] = x[offset]
             all_signals.append(replace(signals, values=signals.values + shift))
@@ -164,15 +183,16 @@ class _Residuals:
 
     def jacobian(self, x: Array, noise: Mapping[str, float]) -> Array:
         """Returns the derivatives of `residuals`, shape (N, unknowns)."""
-        blocks, u = list[Array](), self.unknowns
+        blocks, u, values = list[Array](), self.unknowns, self.values(x)
+        scales = self.sizes(values)
         for i, (signals, one, measured) in enumerate(
             zip(self.predicted(x), self.problem.experiments, self.measured, strict=True)
         ):
             mask = np.isfinite(signals.values - measured)
             sizes = np.array([noise[name] for name in one.signals])
             block = np.zeros((int(mask.sum()), u.size))
-            for j in range(len(u.free)):
-                block[:, j] = (signals.by_parameter[j] / sizes)[mask]
+            for j, name in enumerate(u.free):
+                block[:, j] = (signals.by_parameter[j] * scales[name] / sizes)[mask]
             for j, name in enumerate(u.delayed, len(u.free)):
                 own = np.array([channel.signal == name for channel in one.channels])
                 block[:, j] = (signals.by_delay * own / sizes)[mask]
@@ -182,10 +202,9 @@ class _Residuals:
             for channel, k in zip(u.offsets[i], range(offset.start, offset.stop), strict=True):
                 block[:, k] = (np.where(np.arange(len(sizes)) == channel, 1.0, 0.0) / sizes * mask)[mask]
             blocks.append(block)
-        values, base = self.values(x), np.zeros((len(self.problem.known), u.size))
-        for j, name in enumerate(u.free if self.problem.known else ()):
-            ahead, behind = ({**values, name: values[name] * (1 + h)} for h in (1e-6, -1e-6))
-            base[:, j] = (self._known(ahead) - self._known(behind)) / 2e-6
+        base = np.zeros((len(self.problem.known), u.size))
+        for j, (name, size) in enumerate(scales.items() if self.problem.known else ()):
+            base[:, j] = (self._known({**values, name: values[name] + 1e-6 * size}) - self._known(values)) / 1e-6
         return np.concatenate([*blocks, base])
 
     def _known(self, values: Mapping[str, float]) -> Array:
@@ -381,11 +400,24 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     return _estimate(some, best, held, silent, directions)
 
 
+def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
+    """Returns the solution from the first values on; None if it does not fit as well as a deviance.
+
+    A start that is far from a solution is not followed.
+    """
+    of = _Residuals(problem, free, {})
+    x = _first(of)
+    if _deviance(of, x, of.noise(x)) > deviance + FAR:
+        return None
+    solution = _solve(of, x)
+    return of.values(solution[0]) if solution[2] <= deviance else None
+
+
 def _first(of: _Residuals, shift: Array | None = None) -> Array:
     """Returns the first unknowns: parameters as given, and the starts and offsets that fit best with these."""
     u, x = of.unknowns, np.zeros(of.unknowns.size)
     p = len(u.free)
-    x[:p] = np.log([of.fixed[name] for name in u.free])
+    x[:p] = [of.coordinate(name, of.fixed[name]) for name in u.free]
     if shift is not None:
         x[:p] += shift
     given = {one.signal: one.delay for each in of.problem.experiments for one in each.channels}
@@ -414,7 +446,13 @@ def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float]) -> Arra
     from scipy.optimize import least_squares
 
     jacobian: Any = of.jacobian
-    return least_squares(lambda x, noise: _finite(of.residuals(x, noise)), x, jacobian, args=(noise,), **TOLERANCES).x
+    least = np.full(len(x), -np.inf)
+    least[[name in of.problem.from_zero for name in of.unknowns.free] + [False] * (len(x) - len(of.unknowns.free))] = 0.0
+    bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
+    inside = np.maximum(x, np.where(np.isfinite(least), 1e-3, -np.inf))  # a start on a bound stalls
+    return least_squares(
+        lambda x, noise: _finite(of.residuals(x, noise)), inside, jacobian, args=(noise,), **bounds, **TOLERANCES
+    ).x
 
 
 def _finite(residuals: Array) -> Array:
@@ -453,6 +491,7 @@ def _information(J: Array, p: int) -> tuple[Array, Array]:
 def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
     """Returns the parameters to hold, those that no signal feels, and the directions that move no signal, at some unknowns."""
     free, p = of.unknowns.free, len(of.unknowns.free)
+    # At the first values the derivative by a logarithm is that by the unknown, also of a parameter that may be zero.
     R, _ = _information(of.jacobian(x, of.scale), p)
     sizes = np.linalg.norm(R, axis=0)
     silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
@@ -493,7 +532,8 @@ def _estimate(
     u, p = of.unknowns, len(of.unknowns.free)
     J = of.jacobian(x, noise)
     R, own = _information(J, p)
-    inverse = np.linalg.pinv(R)
+    inverse, values = np.linalg.pinv(R), of.values(x)
+    by_unknown = np.array([size / max(values[name], 1e-9 * size) for name, size in of.sizes(values).items()])
     covariance = inverse @ inverse.T
     differences, tests = of.differences(x, True), list[dict[str, Whiteness]]()
     middle, row = np.zeros((p, p)), 0
@@ -511,15 +551,15 @@ def _estimate(
     first = len(u.free)
     return Estimate(
         of.problem,
-        {**{name: of.fixed[name] for name in (*held, *silent)}, **{name: of.values(x)[name] for name in u.free}},
+        {**{name: of.fixed[name] for name in (*held, *silent)}, **{name: values[name] for name in u.free}},
         u.free,
         held,
         directions,
         silent,
         dict(zip(u.delayed, x[first : first + len(u.delayed)].tolist(), strict=True)),
         noise,
-        covariance,
-        covariance @ middle @ covariance,
+        covariance * np.outer(by_unknown, by_unknown),
+        covariance @ middle @ covariance * np.outer(by_unknown, by_unknown),
         tuple(tests),
         tuple(differences),
         tuple(one.values for one in of.predicted(x)),
@@ -529,40 +569,39 @@ def _estimate(
     )
 
 
-def profile(of: Estimate, name: str, limit: float = 8.0) -> tuple[float | None, float | None]:
+def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
 
-    A side is open if the parameter can move by so many standard deviations, or by a factor of 1000, without that the likelihood
-    falls as far as at the end of an interval. If residuals are coloured, the likelihood counts for less, as in the robust
-    covariance.
-
-    Args:
-        name: a free parameter.
-        limit: number of standard deviations up to which an end is searched.
+    A side is open if the parameter can move by a factor of 8000, or to zero if it may be zero, without that the likelihood falls
+    as far as at the end of an interval. If residuals are coloured, the likelihood counts for less, as in the robust covariance.
     """
     from scipy.optimize import brentq
 
-    i = of.free.index(name)
+    i, own = of.free.index(name), of.residuals
+    others, warm = tuple(one for one in of.free if one != name), {0.0: np.delete(of.x, i)}
     rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
-    best, others = np.log(of.values[name]), tuple(one for one in of.free if one != name)
-    warm = {0.0: np.delete(of.x, i)}
+    size = own.sizes(of.values)[name]
+    deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # of the unknown
+    from_zero, best = name in of.problem.from_zero, of.x[i]
 
     def excess(shift: float) -> float:
-        residuals = _Residuals(of.problem, others, {**of.values, name: float(np.exp(best + shift))})
-        nearest = min(warm, key=lambda one: abs(one - shift))
-        solution = _solve(residuals, warm[nearest])
+        value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
+        # Known values stay first values, so that the unknowns of the others keep their meaning.
+        fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
+        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))])
         warm[shift] = solution[0]
         return solution[2] - of.deviance - rise
 
     ends = list[float | None]()
-    deviation = min(max(float(np.sqrt(of.spread[i, i])), 1e-9), np.log(1000) / NORMAL)
     for sign in (-1, 1):
-        low, high = 0.0, sign * NORMAL * deviation
-        last = sign * min(limit * deviation, np.log(1000))
-        while excess(high) < 0 and abs(high) < abs(last):
-            low, high = high, sign * min(abs(high) * 1.6, abs(last))
-        if excess(high) < 0:
+        low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
+        last = sign * (best if from_zero and sign < 0 else FURTHEST)
+        high = high if abs(high) < abs(last) else last
+        while (above := excess(high)) < 0 and high != last:
+            low, high = high, sign * min(2 * abs(high), abs(last))
+        if above < 0:
             ends.append(None)
             continue
-        ends.append(float(np.exp(best + brentq(excess, low, high, xtol=1e-3 * deviation, rtol=np.float64(1e-6)))))
+        shift = brentq(excess, low, high, xtol=1e-2 * deviation, rtol=np.float64(1e-4))
+        ends.append(own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift)))
     return ends[0], ends[1]
