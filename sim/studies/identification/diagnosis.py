@@ -4,8 +4,9 @@ A cause moves the predicted signals in a known direction g. Its size is the leas
 of g that the unknowns do not explain, and the share of the residuals' squares that it explains says how much of a misfit it is.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import linalg
@@ -31,6 +32,9 @@ NEAR = 0.2  # relative: a factor this near to one of these has a name
 ALIKE = 0.8  # correlation from which a column is a signal but for its factor
 EXPLAINED = 0.03  # share of the squares from which a cause is named
 SURE = 5.0  # standard deviations from which it is
+LAGS = 25  # samples up to which a delay is looked for
+MOST_CAUSES = 3
+MOST_SAMPLES = 50_000  # of an experiment whose residuals are searched for causes
 SHARP = 0.9  # magnitude of a pole of the residuals' model that is a resonance
 
 
@@ -97,51 +101,102 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
     """Returns the causes that the residuals contain, the largest first; those of white residuals are none."""
     if of.white:
         return ()
-    residuals, J = of.residuals.residuals(of.x, of.noise), of.residuals.jacobian(of.x, of.noise)
-    Q, _ = np.linalg.qr(J)
-    own = residuals - Q @ (Q.T @ residuals)
-    total, found = float(own @ own), list[Cause]()
-    for words, unit, scale, direction in _directions(of):
-        g = direction - Q @ (Q.T @ direction)
-        size = float(g @ g)
-        if not size > 1e-12 * float(direction @ direction):
-            continue
-        coefficient = -float(g @ own) / size
-        share = coefficient**2 * size / total
-        deviations = abs(coefficient) * np.sqrt(size) / np.sqrt(total * (1 - share) / len(own))
-        if share >= EXPLAINED and deviations >= SURE:
-            found.append(Cause(words.format(f"{scale * coefficient:.3g} {unit}".strip()), share, deviations))
-    return tuple(sorted(found, key=lambda one: -one.share))
+    residuals = of.residuals.residuals(of.x, of.noise, MOST_SAMPLES)
+    J = of.residuals.jacobian(of.x, of.noise, MOST_SAMPLES)
+    explained = np.linalg.qr(J).Q
+    own = residuals - explained @ (explained.T @ residuals)
+    total, listed = float(own @ own), list[Cause]()
+    directions = list(_directions(of))
+    while directions and len(listed) < MOST_CAUSES:
+        each = list[tuple[float, float, int, Array]]()
+        for i, (_, direction) in enumerate(directions):
+            g = direction - explained @ (explained.T @ direction)
+            size = float(g @ g)
+            if size > 1e-12 * float(direction @ direction):
+                coefficient = -float(g @ own) / size
+                each.append((coefficient**2 * size, coefficient, i, g))
+        if not each:
+            break
+        squares, coefficient, i, g = max(each, key=lambda one: one[0])
+        words, _ = directions.pop(i)
+        left = max(float(own @ own) - squares, 1e-300)
+        deviations = float(np.sqrt(squares * len(own) / left))
+        if squares < EXPLAINED * total or deviations < SURE:
+            break
+        listed.append(Cause(words(coefficient), squares / total, deviations))
+        own = own + coefficient * g
+        explained = np.column_stack([explained, g / np.linalg.norm(g)])
+    return tuple(listed)
 
 
-def _directions(of: Estimate) -> Iterator[tuple[str, str, float, Array]]:
-    """Yields the words of causes, the unit and scale of their size, and how they move all residuals."""
+def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
+    """Yields causes, in words of their size, and how they move all residuals."""
     experiments, problem = of.problem.experiments, of.problem
     for signal in problem.signals:
-        rows = [np.zeros_like(one) for one in of.predicted]
+        late = [np.zeros_like(one) for one in of.predicted]
         gains = [np.zeros_like(one) for one in of.predicted]
+        lag = _lag(of, signal)
         for k, (one, predicted) in enumerate(zip(experiments, of.predicted, strict=True)):
             if signal in one.signals:
                 i = one.signals.index(signal)
-                rows[k][:, i] = -np.gradient(np.nan_to_num(predicted[:, i]), one.step)
-                gains[k][:, i] = predicted[:, i] - np.nanmean(predicted[:, i])
-        if signal not in problem.delayed:
-            yield f"{signal} is later by {{}} than in the map", "ms", 1e3, _weighted(of, rows)
-        yield f"{signal} is larger by {{}} than its unit says", "%", 100.0, _weighted(of, gains)
+                values = np.nan_to_num(predicted[:, i])
+                late[k][:, i] = np.interp(one.time - lag, one.time, values) - values
+                gains[k][:, i] = values - values.mean()
+        if signal not in problem.delayed and lag:
+            yield (
+                partial(
+                    "{0} is {1:.3g} ms {2} than in the map".format, signal, 1e3 * abs(lag), "later" if lag > 0 else "earlier"
+                ),
+                _weighted(of, late),
+            )
+        yield partial(_gain_words, signal), _weighted(of, gains)
     vehicles = [one.vehicle(of.values) for one in problem.predictions]
     for place in vehicles[0].kind.suspensions:
         pushed = [_friction(one, vehicle, place.force) for one, vehicle in zip(problem.predictions, vehicles, strict=True)]
-        yield f"friction of {{}} in the suspension{place.ending.replace('_', ' ')}", "N", 1.0, _weighted(of, pushed)
+        yield (
+            partial(_size_words, f"friction of {{:.3g}} N in the suspension{place.ending.replace('_', ' ')}"),
+            _weighted(of, pushed),
+        )
     parameters = {one.name for one in problem.vehicle.kind.parameters}
     for name in sorted(one for one in parameters if one.startswith("tyre_damping")):
         if name not in of.free and not problem.vehicle.parts.nonlinear:
-            yield f"{name} of {{}} more than in the file", "N s/m", 1.0, _weighted(of, _by_parameter(of, name))
+            words = f"{name} of {{:.3g}} N s/m more than in the file"
+            yield partial(_size_words, words), _weighted(of, _by_parameter(of, name))
+
+
+def _size_words(words: str, coefficient: float) -> str:
+    return words.format(coefficient)
+
+
+def _gain_words(signal: str, coefficient: float) -> str:
+    factor = 1 + coefficient
+    named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
+    return f"{signal} as {factor:.3g} times what its unit says{named}"
+
+
+def _lag(of: Estimate, signal: str) -> float:
+    """Returns the delay of a measured signal behind the predicted one with the largest correlation [s], by a parabola."""
+    total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
+    for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
+        if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:
+            continue
+        i = one.signals.index(signal)
+        measured = one.channels[i].values
+        m, p = (np.nan_to_num(values - np.nanmean(values)) for values in (measured, predicted[:, i]))
+        inner = slice(LAGS, len(m) - LAGS)
+        total += [float(m[inner] @ p[LAGS - k : len(p) - LAGS - k]) for k in range(-LAGS, LAGS + 1)]
+    k = int(np.argmax(total))
+    if not 0 < k < 2 * LAGS:
+        return 0.0
+    before, here, after = total[k - 1 : k + 2]
+    return step * (k - LAGS + 0.5 * (before - after) / min(before - 2 * here + after, -1e-300))
 
 
 def _weighted(of: Estimate, moved: list[Array]) -> Array:
     rows = []
     for one, each, difference in zip(of.problem.experiments, moved, of.differences, strict=True):
-        rows.append((np.nan_to_num(each) / [of.noise[name] for name in one.signals])[np.isfinite(difference)])
+        for name, values, left in zip(one.signals, each[:MOST_SAMPLES].T, difference[:MOST_SAMPLES].T, strict=True):
+            rows.append(np.nan_to_num(values[np.isfinite(left)]) / of.noise[name])
     return np.concatenate([*rows, np.zeros(len(of.problem.known))])
 
 
@@ -170,7 +225,7 @@ def _friction(prediction: Prediction, vehicle: Vehicle, force: str) -> Array:
 
 def _by_parameter(of: Estimate, name: str) -> list[Array]:
     """Returns the derivative of all signals by a parameter that may be zero."""
-    value = of.problem.vehicle.parameters[name]
+    value = of.problem.vehicle.parameters.get(name, 0.0)
     step, each = max(1.0, 1e-3 * value), list[Array]()
     for i, one in enumerate(of.problem.predictions):
         start, _ = of.residuals.unknowns.of_experiment(i)

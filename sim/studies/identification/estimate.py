@@ -14,7 +14,8 @@ Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a s
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -35,11 +36,13 @@ WIDE = 1.0  # standard deviation of a logarithm above which a parameter is not d
 SETTLED = 1e-6  # relative change of noise at which it is settled
 ROUNDS = 30  # of noise and parameters by turns
 SPREAD = 1.2  # of the logarithms of further starts: a factor of 3
-STARTS = 12
+STARTS = 6
 FAR = 100.0  # deviance above that of a solution, from which a start does not lead to an equal one
 FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
-TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 60}
-POOR = 0.9  # share of a signal's mean square that a fit explains, below which other starts are tried
+TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12}
+BLOCK = 50_000  # samples whose derivatives are in memory together
+MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start
+POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,39 +176,58 @@ class _Residuals:
         """Returns predicted less measured signals of each experiment, shape (T, q); NaN where there is no value."""
         return [one.values - measured for one, measured in zip(self.predicted(x, derivatives), self.measured, strict=True)]
 
-    def residuals(self, x: Array, noise: Mapping[str, float], derivatives: bool = True) -> Array:
-        """Returns all residuals over noise, shape (N,)."""
-        rows = [
-            (each / [noise[name] for name in one.signals])[np.isfinite(each)]
-            for each, one in zip(self.differences(x, derivatives), self.problem.experiments, strict=True)
-        ]
+    def residuals(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Array:
+        """Returns all residuals over noise, shape (N,), channel by channel; of long experiments at most so many samples."""
+        rows = list[Array]()
+        for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
+            rows += [values[np.isfinite(values)] / noise[name] for name, values in zip(one.signals, each[:most].T, strict=True)]
         return np.concatenate([*rows, self._known(self.values(x))])
 
-    def jacobian(self, x: Array, noise: Mapping[str, float]) -> Array:
+    def channel_columns(self, x: Array, noise: Mapping[str, float], i: int, channel: int, part: slice = slice(None)) -> Array:
+        """Returns the derivatives of a channel's residuals in an experiment by all unknowns, shape (T, unknowns)."""
+        u, signals, one = self.unknowns, self.predicted(x)[i], self.problem.experiments[i]
+        name, size = one.signals[channel], noise[one.signals[channel]]
+        columns = np.zeros((len(signals.values[part]), u.size))
+        for j, scale in enumerate(self.sizes(self.values(x)).values()):
+            columns[:, j] = signals.by_parameter[j, part, channel] * (scale / size)
+        if name in u.delayed:
+            columns[:, len(u.free) + u.delayed.index(name)] = signals.by_delay[part, channel] / size
+        start, offset = u.of_experiment(i)
+        columns[:, start] = signals.by_start[:, part, channel].T / size
+        if channel in u.offsets[i]:
+            columns[:, offset.start + u.offsets[i].index(channel)] = 1 / size
+        return columns
+
+    def jacobian(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Array:
         """Returns the derivatives of `residuals`, shape (N, unknowns)."""
-        blocks, u, values = list[Array](), self.unknowns, self.values(x)
-        scales = self.sizes(values)
-        for i, (signals, one, measured) in enumerate(
-            zip(self.predicted(x), self.problem.experiments, self.measured, strict=True)
-        ):
-            mask = np.isfinite(signals.values - measured)
-            sizes = np.array([noise[name] for name in one.signals])
-            block = np.zeros((int(mask.sum()), u.size))
-            for j, name in enumerate(u.free):
-                block[:, j] = (signals.by_parameter[j] * scales[name] / sizes)[mask]
-            for j, name in enumerate(u.delayed, len(u.free)):
-                own = np.array([channel.signal == name for channel in one.channels])
-                block[:, j] = (signals.by_delay * own / sizes)[mask]
-            start, offset = u.of_experiment(i)
-            for j, k in enumerate(range(start.start, start.stop)):
-                block[:, k] = (signals.by_start[j] / sizes)[mask]
-            for channel, k in zip(u.offsets[i], range(offset.start, offset.stop), strict=True):
-                block[:, k] = (np.where(np.arange(len(sizes)) == channel, 1.0, 0.0) / sizes * mask)[mask]
-            blocks.append(block)
-        base = np.zeros((len(self.problem.known), u.size))
-        for j, (name, size) in enumerate(scales.items() if self.problem.known else ()):
+        return np.concatenate([*(J for J, _ in self._blocks(x, noise, most)), self.known_columns(x)])
+
+    def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
+        """Returns R and c of a QR decomposition of derivatives and residuals: least squares with them are those of all.
+
+        The derivatives of a long log are never in memory together. R has shape (unknowns + 1, unknowns), c (unknowns + 1,).
+        """
+        whole = np.column_stack([self.known_columns(x), self._known(self.values(x))])
+        for J, residuals in self._blocks(x, noise):
+            whole = np.linalg.qr(np.vstack([whole, np.column_stack([J, _finite(residuals)])])).R
+        whole = np.pad(whole, ((0, max(0, whole.shape[1] - len(whole))), (0, 0)))
+        return whole[:, :-1], whole[:, -1]
+
+    def _blocks(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Iterator[tuple[Array, Array]]:
+        for i, (each, one) in enumerate(zip(self.differences(x, True), self.problem.experiments, strict=True)):
+            for channel, name in enumerate(one.signals):
+                for first in range(0, len(each[:most]), BLOCK):
+                    part = slice(first, min(first + BLOCK, most or len(each)))
+                    values = each[part, channel]
+                    counted = np.isfinite(values)
+                    yield self.channel_columns(x, noise, i, channel, part)[counted], values[counted] / noise[name]
+
+    def known_columns(self, x: Array) -> Array:
+        """Returns the derivatives of what is known from elsewhere over its deviation, shape (k, unknowns)."""
+        values, base = self.values(x), np.zeros((len(self.problem.known), self.unknowns.size))
+        for j, (name, size) in enumerate(self.sizes(values).items() if self.problem.known else ()):
             base[:, j] = (self._known({**values, name: values[name] + 1e-6 * size}) - self._known(values)) / 1e-6
-        return np.concatenate([*blocks, base])
+        return base
 
     def _known(self, values: Mapping[str, float]) -> Array:
         if not self.problem.known:
@@ -388,15 +410,10 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     if _poor(some, best[0]):
         rng = np.random.default_rng(seed)
         for _ in range(STARTS):
-            x = _first(some, rng.uniform(-SPREAD, SPREAD, len(left)))
-            try:
-                other = _solve(some, x)
-            except (InputError, np.linalg.LinAlgError):
-                continue
-            if other[2] < best[2]:
-                best = other
-            if not _poor(some, best[0]):
-                break
+            with suppress(InputError, np.linalg.LinAlgError):  # a vehicle that cannot be
+                x = _least_squares(some, _first(some, rng.uniform(-SPREAD, SPREAD, len(left))), best[1], FEW)
+                if _deviance(some, x, some.noise(x)) < best[2] - CHI2:
+                    best = min(best, _solve(some, x), key=lambda one: one[2])
     return _estimate(some, best, held, silent, directions)
 
 
@@ -425,8 +442,8 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
     if u.size == p + len(u.delayed):
         return x
     noise = of.scale
-    residuals, J = of.residuals(x, noise), of.jacobian(x, noise)
-    x[p + len(u.delayed) :] -= np.linalg.lstsq(J[:, p + len(u.delayed) :], residuals)[0]
+    R, c = of.reduced(x, noise)
+    x[p + len(u.delayed) :] -= np.linalg.lstsq(R[:, p + len(u.delayed) :], c)[0]
     return x
 
 
@@ -441,17 +458,20 @@ def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
     return x, noise, _deviance(of, x, noise)
 
 
-def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float]) -> Array:
-    """Returns the unknowns of the least squares of residuals over a noise."""
+def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: int = MOST) -> Array:
+    """Returns the unknowns of the least squares of residuals over a noise, after at most so many evaluations."""
     from scipy.optimize import least_squares
 
-    jacobian: Any = of.jacobian
+    def jacobian(x: Array, noise: Mapping[str, float]) -> Array:
+        return of.reduced(x, noise)[0]
+
     least = np.full(len(x), -np.inf)
     least[[name in of.problem.from_zero for name in of.unknowns.free] + [False] * (len(x) - len(of.unknowns.free))] = 0.0
     bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
     inside = np.maximum(x, np.where(np.isfinite(least), 1e-3, -np.inf))  # a start on a bound stalls
+    by_unknown: Any = jacobian
     return least_squares(
-        lambda x, noise: _finite(of.residuals(x, noise)), inside, jacobian, args=(noise,), **bounds, **TOLERANCES
+        lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
     ).x
 
 
@@ -461,12 +481,12 @@ def _finite(residuals: Array) -> Array:
 
 
 def _deviance(of: _Residuals, x: Array, noise: Mapping[str, float]) -> float:
-    residuals = _finite(of.residuals(x, noise))
+    _, c = of.reduced(x, noise)
     counts = dict[str, int]()
     for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
         for name, values in zip(one.signals, each.T, strict=True):
             counts[name] = counts.get(name, 0) + int(np.isfinite(values).sum())
-    return float(residuals @ residuals + 2 * sum(count * np.log(noise[name]) for name, count in counts.items()))
+    return float(c @ c + 2 * sum(count * np.log(noise[name]) for name, count in counts.items()))
 
 
 def _poor(of: _Residuals, x: Array) -> bool:
@@ -478,21 +498,25 @@ def _poor(of: _Residuals, x: Array) -> bool:
     return False
 
 
-def _information(J: Array, p: int) -> tuple[Array, Array]:
-    """Returns R with R'R = the information on the first p unknowns beside all others, shape (p, p), and J's projected columns."""
-    nuisance, own = J[:, p:], J[:, :p]
-    if nuisance.shape[1]:
-        Q, R = np.linalg.qr(nuisance)
-        large = np.abs(np.diag(R)) > 1e-12 * np.abs(np.diag(R)).max(initial=0.0)
-        own = own - Q[:, large] @ (Q[:, large].T @ own)
-    return np.linalg.qr(own).R, own
+def _information(R: Array, p: int) -> tuple[Array, Array]:
+    """Returns the information on the first p unknowns beside all others, and how these move with the former.
+
+    Args:
+        R: the derivatives of all residuals, or the R of their QR decomposition, shape (k, u).
+
+    Returns:
+        R with R'R = the information, shape (p, p), and C, shape (u - p, p): the others' columns C are what they explain of the p.
+    """
+    own, others = R[:, :p], R[:, p:]
+    C = np.linalg.lstsq(others, own)[0] if others.shape[1] else np.zeros((0, p))
+    return np.linalg.qr(own - others @ C).R, C
 
 
 def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
     """Returns the parameters to hold, those that no signal feels, and the directions that move no signal, at some unknowns."""
     free, p = of.unknowns.free, len(of.unknowns.free)
     # At the first values the derivative by a logarithm is that by the unknown, also of a parameter that may be zero.
-    R, _ = _information(of.jacobian(x, of.scale), p)
+    R, _ = _information(of.reduced(x, of.scale)[0], p)
     sizes = np.linalg.norm(R, axis=0)
     silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
     felt = [i for i, name in enumerate(free) if name not in silent]
@@ -530,24 +554,22 @@ def _estimate(
     """Returns the estimate of a solution with covariances and whiteness."""
     x, noise, deviance = solution
     u, p = of.unknowns, len(of.unknowns.free)
-    J = of.jacobian(x, noise)
-    R, own = _information(J, p)
+    whole, _ = of.reduced(x, noise)
+    R, C = _information(whole, p)
     inverse, values = np.linalg.pinv(R), of.values(x)
     by_unknown = np.array([size / max(values[name], 1e-9 * size) for name, size in of.sizes(values).items()])
     covariance = inverse @ inverse.T
     differences, tests = of.differences(x, True), list[dict[str, Whiteness]]()
-    middle, row = np.zeros((p, p)), 0
-    masks = [np.isfinite(each) for each in differences]
-    for each, one, mask in zip(differences, of.problem.experiments, masks, strict=True):
-        block = np.full((*mask.shape, p), 0.0)
-        block[mask] = own[row : row + int(mask.sum())]
-        row += int(mask.sum())
+    middle = np.zeros((p, p))
+    for i, (each, one) in enumerate(zip(differences, of.problem.experiments, strict=True)):
         tests.append({})
-        for i, name in enumerate(one.signals):
-            scaled = each[:, i] / noise[name]
+        for channel, name in enumerate(one.signals):
+            scaled = each[:, channel] / noise[name]
             tests[-1][name] = whiteness(scaled)
-            middle += autoregressive(scaled).sandwich(block[:, i])
-    middle += own[row:].T @ own[row:]
+            columns = of.channel_columns(x, noise, i, channel) * np.isfinite(scaled)[:, None]
+            middle += autoregressive(scaled).sandwich(np.nan_to_num(columns[:, :p] - columns[:, p:] @ C))
+    exact = of.known_columns(x)
+    middle += (exact[:, :p] - exact[:, p:] @ C).T @ (exact[:, :p] - exact[:, p:] @ C)
     first = len(u.free)
     return Estimate(
         of.problem,

@@ -30,6 +30,7 @@ UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are
 SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
 SKEWED = 0.2  # standard deviation of a logarithm from which the interval comes from the profile of the likelihood
 AFTER = 0.5  # s after a landing in which samples do not count: the tyre is not linear there
+NAMED = 0.5  # share of the residuals' squares with named causes, from which a resonance is not looked for
 ANOTHER = 0.1  # difference of a logarithm from which a solution is another one
 
 
@@ -192,9 +193,10 @@ def identify_experiments(
         else:
             intervals[name] = Interval(*profile(result, name), "profile")
     ended = tuple((one.name, fit) for log in hold_out for one, fit in _held_out(result, log))
-    return Identification(
-        result, intervals, causes(result), (*remarks, *([] if result.white else resonances(result))), mirror, ended
-    )
+    named = causes(result)
+    if not result.white and sum(one.share for one in named) < NAMED:
+        remarks += resonances(result)
+    return Identification(result, intervals, named, tuple(remarks), mirror, ended)
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:

@@ -122,50 +122,38 @@ class Prediction:
         n, inputs = len(step.Phi), self._inputs
         first = np.zeros(n) if start is None else start
         x = recursion(step.Phi, inputs @ step.Gamma.T, first)
-        places = self._places(x, delays)
-        value = self._read(step.rows, places)
+        value = self._read(step.rows, x, inputs, delays)
+        none = np.zeros((0, *value.shape))
         if not derivatives:
-            none = np.zeros((0, *value.shape))
             return PredictedSignals(value, none, none, np.zeros_like(value))
-        changes = [self._by_parameter(values, name, size, delays) for name, size in free.items()]
-        forcing = np.zeros((len(free), *x.shape))
-        for i, one in enumerate(changes):
-            forcing[i] = x @ one.Phi.T + inputs @ one.Gamma.T
-        dx = recursion(step.Phi, forcing) if free else forcing
-        by_parameter = (
-            np.stack(
-                [
-                    self._read(one.rows, places) + self._read(step.rows[:, :n], self._places(dx[i], delays, states_only=True))
-                    for i, one in enumerate(changes)
-                ]
-            )
-            if free
-            else np.zeros((0, *value.shape))
-        )
-        by_start = np.zeros((0, *value.shape))
+        by_parameter, by_start = np.zeros((len(free), *value.shape)), none
+        for i, (name, size) in enumerate(free.items()):
+            one = self._by_parameter(values, name, size, delays)
+            dx = recursion(step.Phi, x @ one.Phi.T + inputs @ one.Gamma.T)
+            by_parameter[i] = self._read(one.rows, x, inputs, delays) + self._read(step.rows, dx, None, delays)
         if start is not None:
-            # The response to a start without input, for all n starts side by side.
-            free_motion = recursion(step.Phi, np.zeros((n, *x.shape)), np.eye(n)[:, None, :])
-            by_start = np.stack(
-                [self._read(step.rows[:, :n], self._places(one, delays, states_only=True)) for one in free_motion]
-            )
-        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, places))
+            by_start = np.zeros((n, *value.shape))
+            for i in range(n):  # the response to a start without input
+                free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
+                by_start[i] = self._read(step.rows, free_motion, None, delays)
+        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
 
-    def _places(self, x: Array, delays: Sequence[float], states_only: bool = False) -> list[Array]:
-        """Returns what each channel reads at each sample: [x; v; v'] at the sample before its delayed time, shape (T, k)."""
-        h, own = self.experiment.step, []
-        for delay in delays:
+    def _read(self, rows: Array, x: Array, inputs: Array | None, delays: Sequence[float]) -> Array:
+        """Returns what each channel reads at each sample, by its row of [x; v; v'] at the sample before its delayed time.
+
+        Args:
+            rows: shape (q, n + 2 v).
+            x: states, shape (T, n).
+            inputs: inputs and their rates, shape (T, 2 v); None for none.
+        """
+        h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
+        for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):
             before = math.ceil(delay / h - 1e-9)
-            inputs = self._at_samples if abs(before * h - delay) <= 1e-9 * h else self._inputs
-            whole = x if states_only else np.hstack([x, inputs])
-            if before > 0:
-                whole = np.vstack([np.full((min(before, len(whole)), whole.shape[1]), np.nan), whole[:-before]])
-            own.append(whole)
-        return own
-
-    @staticmethod
-    def _read(rows: Array, places: Sequence[Array]) -> Array:
-        return np.stack([place @ row for row, place in zip(rows, places, strict=True)], axis=-1)
+            column = x @ row[:n]
+            if inputs is not None:
+                column += (self._at_samples if abs(before * h - delay) <= 1e-9 * h else inputs) @ row[n:]
+            values[:before, i], values[before:, i] = np.nan, column[: len(column) - before]
+        return values
 
     def _step(self, values: Mapping[str, float], delays: Sequence[float]) -> _Step:
         A, Bv, Bd, C, Dv, Dd = continuous_model(self.vehicle(values), self.experiment)

@@ -114,8 +114,8 @@ def sensor_rows(of: Identification) -> list[SensorRow]:
     """Returns all sensors of all experiments."""
     estimate, rows = of.estimate, list[SensorRow]()
     p, kind = len(estimate.free), of.vehicle.kind
-    J = estimate.residuals.jacobian(estimate.x, estimate.noise)
-    spread = np.linalg.pinv(J.T @ J)
+    R, _ = estimate.residuals.reduced(estimate.x, estimate.noise)
+    spread = np.linalg.pinv(R.T @ R)
     own = {name: float(np.sqrt(spread[p + i, p + i])) for i, name in enumerate(estimate.delays)}
     for one, fits, tests in zip(estimate.problem.experiments, estimate.fits, estimate.whiteness, strict=True):
         for channel in one.channels:
