@@ -34,6 +34,7 @@ EXPLAINED = 0.03  # share of the squares from which a cause is named
 SURE = 5.0  # standard deviations from which it is
 LAGS = 25  # samples up to which a delay is looked for
 MOST_CAUSES = 3
+LEFT = 0.01  # share of a cause's squares that the unknowns must not explain: else its size is not known
 MOST_SAMPLES = 50_000  # of an experiment whose residuals are searched for causes
 SHARP = 0.9  # magnitude of a pole of the residuals' model that is a resonance
 
@@ -112,7 +113,7 @@ def causes(of: Estimate) -> tuple[Cause, ...]:
         for i, (_, direction) in enumerate(directions):
             g = direction - explained @ (explained.T @ direction)
             size = float(g @ g)
-            if size > 1e-12 * float(direction @ direction):
+            if size > LEFT * float(direction @ direction):
                 coefficient = -float(g @ own) / size
                 each.append((coefficient**2 * size, coefficient, i, g))
         if not each:

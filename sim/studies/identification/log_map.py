@@ -24,7 +24,7 @@ from typing import Annotated, Any
 
 from models.common.errors import InputError, alike, short_repr
 from models.common.files import parse_toml, read_text
-from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, ReadBy, Section, Text, read
+from models.common.schema import HERE, SI, AnyTable, BySignal, Choice, Integer, ReadBy, Section, Text, read
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import Known
 
@@ -73,6 +73,7 @@ class LogKeys(Section):
     first: Annotated[float, SI("s", "time of the log at which it counts from", -1e9)] = -1e9
     last: Annotated[float, SI("s", "time until which it counts", -1e9)] = 1e12
     rate: Annotated[float, SI("1/s", "samples per second of a log without times", 0.0)] = 0.0
+    every: Annotated[int, Integer("number of samples of which one is used", 1)] = 1
     added: Annotated[Mapping[str, float], BySignal("additions to parameters", "parameters", -1e9, 1e9)] = field(
         default_factory=dict[str, float]
     )

@@ -75,6 +75,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     within = (log.time >= keys.first) & (log.time <= keys.last)
     if within.sum() < LEAST:
         raise InputError(f"{int(within.sum())} samples count; at least {LEAST} are needed: change first and last in the map")
+    within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
     time = log.time[within]
     step, places, more = _grid(time)
     remarks += more
