@@ -1,9 +1,11 @@
 """The command `roadproof identify`: a vehicle file from measured logs."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser
+from models.common.errors import InputError
 from models.common.printed import title_lines
 from sim.studies.study import Progress, Study, StudyRequest
 
@@ -13,9 +15,10 @@ if TYPE_CHECKING:
     from models.document.document import Document
     from models.document.figure import Figure
     from sim.studies.identification.identification import Identification
+    from sim.studies.identification.plan import Plan
 
 
-class IdentifyStudy(Study["Identification"]):
+class IdentifyStudy(Study["Identification | list[Plan]"]):
     """Identification of a vehicle from logs."""
 
     description = "Identify the parameters of a vehicle from measured logs, with intervals and what they do not determine."
@@ -32,7 +35,7 @@ examples:
     stages = ("logs and estimate",)
 
     def add_options(self, parser: Parser) -> None:
-        parser.add_argument("files", nargs="+", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
+        parser.add_argument("files", nargs="*", type=Path, metavar="LOG", help="measured log, or a log of bump or drive (.mcap)")
         parser.add_argument("--vehicle", default="quarter_car", metavar="FILE", help="vehicle file with first values")
         parser.add_argument("--signals", type=Path, metavar="MAP", help="map of columns to signals (TOML)")
         parser.add_argument("--columns", action="store_true", help="print a first map from the headings of the logs, and stop")
@@ -41,6 +44,12 @@ examples:
         parser.add_argument(
             "--hold-out", action="append", type=Path, default=[], metavar="LOG", help="log that is only predicted"
         )
+        parser.add_argument(
+            "--controllers",
+            action="store_true",
+            help="also certify all controllers on the vehicles that the logs allow",
+        )
+        parser.add_argument("--plan", action="store_true", help="print chirps that would determine the parameters best, and stop")
         parser.add_argument("--out", type=Path, metavar="FILE", help="write the identified vehicle (.toml)")
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw measured and predicted signals; needs matplotlib")
         parser.add_count("--seed", "seed of further starts", "0", 0, 2**31, 0)
@@ -51,8 +60,10 @@ examples:
 
         options = request.options
         check_outputs({"save": options.out}, [*options.files, *options.hold_out], options.json)
+        if not options.files and not options.plan:
+            raise InputError("no log is given; give the file of one, or --plan for a test that is not driven yet")
 
-    def run(self, request: StudyRequest, progress: Progress) -> "Identification":
+    def run(self, request: StudyRequest, progress: Progress) -> "Identification | list[Plan]":
         from models.common.files import whole_file
         from models.vehicle.vehicle import read_vehicle
         from sim.studies.identification.identification import identify
@@ -61,39 +72,58 @@ examples:
         options = request.options
         vehicle = read_vehicle(options.vehicle)
         progress("logs and estimate")
+        if options.plan:
+            from sim.studies.identification.log_map import read_map
+            from sim.studies.identification.plan import plans
+
+            return plans(vehicle, read_map(options.signals, vehicle), options.fix, options.free)
         result = identify(options.files, vehicle, options.signals, options.fix, options.free, options.hold_out, options.seed)
+        if options.controllers:
+            from sim.studies.identification.allowed import allowed_results
+
+            result = replace(result, allowed=tuple(allowed_results(result)))
         if options.out is not None:
             text = vehicle_text(result, options.files)
             with whole_file(options.out, "save") as beside:
                 beside.write_text(text, encoding="utf-8", newline="\n")
         return result
 
-    def title(self, request: StudyRequest, result: "Identification") -> str:
+    def title(self, request: StudyRequest, result: "Identification | list[Plan]") -> str:
+        if isinstance(result, list):
+            return f"plan for {request.options.vehicle}"
         logs = ", ".join(path.name for path in request.options.files)
         return f"{result.vehicle.kind.name} identified from {logs}"
 
-    def lines(self, request: StudyRequest, result: "Identification", files: "Sequence[str]") -> list[str]:
+    def lines(self, request: StudyRequest, result: "Identification | list[Plan]", files: "Sequence[str]") -> list[str]:
         from models.document.text import text_lines
 
         options = request.options
         out = [f"  vehicle file: {options.out}"] if options.out is not None else []
-        title = title_lines(self.title(request, result), result.vehicle.source)
+        source = "" if isinstance(result, list) else result.vehicle.source
+        title = title_lines(self.title(request, result), source)
         return [*title, *files, *out, "", *text_lines(self.describe(request, result), "full" if options.verbose else "normal")]
 
-    def describe(self, request: StudyRequest, result: "Identification") -> "Document":
-        from sim.studies.identification.report import describe
+    def describe(self, request: StudyRequest, result: "Identification | list[Plan]") -> "Document":
+        from sim.studies.identification.report import describe, describe_plans
 
-        return describe(result)
+        return describe_plans(result) if isinstance(result, list) else describe(result)
 
-    def record(self, request: StudyRequest, result: "Identification") -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: "Identification | list[Plan]") -> dict[str, Any]:
+        from models.document.field import Record
+        from sim.studies.identification.plan import PLANS
         from sim.studies.identification.report import record
 
+        if isinstance(result, list):
+            whole = Record["Plan"](*PLANS, deviations="deviations")
+            return {"plans": [whole(one) for one in result]}
         return record(result)
 
-    def figure(self, request: StudyRequest, result: "Identification") -> "Figure":
+    def figure(self, request: StudyRequest, result: "Identification | list[Plan]") -> "Figure":
         from sim.studies.identification.report import figure
 
+        if isinstance(result, list):
+            raise InputError("a plan has no picture; omit --picture")
         return figure(result)
 
-    def holds(self, result: "Identification") -> bool:
-        return result.estimate.white
+    def holds(self, result: "Identification | list[Plan]") -> bool:
+        return isinstance(result, list) or result.estimate.white

@@ -417,6 +417,25 @@ def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0)
     return _estimate(some, best, held, silent, directions)
 
 
+def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
+    """Returns the standard deviation of the logarithm of each parameter at the first values: the bound of Cramer and Rao.
+
+    It is infinite for a parameter that the signals do not determine.
+    """
+    free = tuple(problem.first)
+    of = _Residuals(problem, free, {})
+    noise = {one.signal: one.noise or 1.0 for each in problem.experiments for one in each.channels}
+    x = np.zeros(of.unknowns.size)
+    x[: len(free)] = [of.coordinate(name, of.fixed[name]) for name in free]
+    R, _ = _information(of.reduced(x, noise)[0], len(free))
+    sizes = np.linalg.norm(R, axis=0)
+    _, s, V = np.linalg.svd(R / np.where(sizes, sizes, 1.0))
+    open_directions = V[s <= SINGULAR * s[0]]
+    spread = np.sqrt(np.sum((V / np.maximum(s, 1e-300)[:, None]) ** 2, axis=0)) / np.where(sizes, sizes, 1e-300)
+    unknown = np.abs(open_directions).max(axis=0, initial=0.0) > 1e-5
+    return {name: float("inf" if lost else one) for name, one, lost in zip(free, spread, unknown, strict=True)}
+
+
 def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
     """Returns the solution from the first values on; None if it does not fit as well as a deviance.
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +24,12 @@ from sim.studies.identification.estimate import (
     start_and_offsets,
 )
 from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.in_mujoco import difference_in_mujoco
 from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+
+if TYPE_CHECKING:
+    from sim.studies.identification.allowed import AllowedResult
 
 UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
 SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
@@ -59,6 +64,8 @@ class Identification:
         remarks: remarks on logs and columns.
         mirror: values of another solution that fits as well, by name; empty if none is known.
         held_out: share of the rms of each signal that the prediction explains in logs that were not used, by experiment.
+        in_mujoco: largest difference of MuJoCo from the prediction, over each signal's peak; empty if nothing was simulated.
+        allowed: results of controllers over the vehicles that the logs allow, if requested.
     """
 
     estimate: Estimate
@@ -67,6 +74,8 @@ class Identification:
     remarks: tuple[str, ...]
     mirror: Mapping[str, float]
     held_out: tuple[tuple[str, Mapping[str, float]], ...]
+    in_mujoco: Mapping[str, float]
+    allowed: "tuple[AllowedResult, ...]" = ()
 
     @cached_property
     def vehicle(self) -> Vehicle:
@@ -196,7 +205,7 @@ def identify_experiments(
     named = causes(result)
     if not result.white and sum(one.share for one in named) < NAMED:
         remarks += resonances(result)
-    return Identification(result, intervals, named, tuple(remarks), mirror, ended)
+    return Identification(result, intervals, named, tuple(remarks), mirror, ended, difference_in_mujoco(result))
 
 
 def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:

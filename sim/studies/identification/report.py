@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,16 @@ from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
 from models.document.figure import Curve, Figure, Panel
 from models.vehicle.in_place import with_sections
+from sim.studies.identification.allowed import ALLOWED, AllowedResult
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.identification import Identification
+from sim.studies.identification.plan import PLANS, Plan
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
     "a known payload, or a measured force"
 )
+SHARE = Field[float]("deviation", float, ".2g", 100, unit="%")
 MOST_POINTS = 2000  # of a curve
 SECTION = "identified"
 
@@ -197,8 +201,25 @@ def describe(of: Identification) -> Document:
     for name, fits in of.held_out:
         text = ", ".join(f"{signal} {100 * fit:.1f} %" for signal, fit in fits.items())
         blocks.append(Statement(f"Hold-out log {name}: fit of {text}."))
+    if of.in_mujoco:
+        worst = max(of.in_mujoco, key=lambda name: of.in_mujoco[name])
+        blocks.append(Statement(f"MuJoCo differs from the prediction by at most {of.in_mujoco[worst]:.1e} of a peak ({worst})."))
+    if of.allowed:
+        caption = f"controllers on {of.allowed[0].vehicles} vehicles: the estimate, and the ends of the axes of the 95 % ellipse"
+        blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
+        for one in of.allowed:
+            if one.worst_bound is not None:
+                blocks.append(Statement(f"`{one.name}` has a proved norm below {one.worst_bound:.5g} on each of these.", "holds"))
     blocks += notes(*of.remarks)
     return Document("Identification", tuple(blocks))
+
+
+def describe_plans(each: Sequence[Plan]) -> Document:
+    """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
+    best = each[0]
+    rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
+    caption = "chirps of a rig's posts, with the largest relative standard deviation of a parameter"
+    return Document("Plan", (Table.of("plans", caption, PLANS, each), *notes(f"The first chirp determines: {', '.join(rows)}.")))
 
 
 def record(of: Identification) -> dict[str, Any]:
@@ -215,6 +236,8 @@ def record(of: Identification) -> dict[str, Any]:
         "causes": [{"words": one.words, "share": one.share, "deviations": finite(one.deviations)} for one in of.causes],
         "mirror": dict(of.mirror),
         "hold_out": [{"experiment": name, "fits": dict(fits)} for name, fits in of.held_out],
+        "in_mujoco": dict(of.in_mujoco),
+        "controllers": [Record[AllowedResult](*ALLOWED)(one) for one in of.allowed],
         "remarks": list(of.remarks),
     }
 
