@@ -48,6 +48,7 @@ class Experiment:
         added: what the vehicle carries beyond that of the file: additions to parameters, by name [SI].
         from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
+        forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
         start: time of the first sample in the log's own clock [s].
     """
 
@@ -59,6 +60,7 @@ class Experiment:
     added: Mapping[str, float] = field(default_factory=dict[str, float])
     from_rest: bool = False
     hubs: bool = False
+    forces_held: bool = False
     start: float = 0.0
 
     @property

@@ -32,6 +32,7 @@ ESTIMATE = "estimate"
 LOGGED, FLAT, UNKNOWN = "logged", "flat", "unknown"
 ROADS = (LOGGED, FLAT, UNKNOWN)
 REST, ESTIMATED = "rest", "estimated"
+STRAIGHT, HELD = "straight", "held"
 CORNER_WEIGHT = "corner_weight"
 
 
@@ -70,6 +71,7 @@ class LogKeys(Section):
     road: Annotated[str, Text("logged, flat, unknown, or a road as drive takes it")] = LOGGED
     speed: Annotated[float, SI("m/s", "speed on that road", 0.0)] = 0.0
     start: Annotated[str, Choice("state at the first sample", (ESTIMATED, REST))] = ESTIMATED
+    forces: Annotated[str, Choice("forces between samples", (STRAIGHT, HELD))] = STRAIGHT
     first: Annotated[float, SI("s", "time of the log at which it counts from", -1e9)] = -1e9
     last: Annotated[float, SI("s", "time until which it counts", -1e9)] = 1e12
     rate: Annotated[float, SI("1/s", "samples per second of a log without times", 0.0)] = 0.0

@@ -86,6 +86,8 @@ class Prediction:
         """Inputs at the samples and their rates over the steps from there, shape (T, 2 v)."""
         held = np.hstack([self.experiment.road, self.experiment.forces])
         rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
+        if self.experiment.forces_held:
+            rates[:, self.experiment.road.shape[1] :] = 0.0
         return np.hstack([held, rates])
 
     @cached_property

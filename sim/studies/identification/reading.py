@@ -12,7 +12,7 @@ from models.common.errors import InputError, error_in, list_names
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Channel, Experiment
-from sim.studies.identification.log_map import FLAT, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+from sim.studies.identification.log_map import FLAT, HELD, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
 
 GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
 LEAST = 50  # samples of a stretch
@@ -47,6 +47,7 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
         log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
     else:
         sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
+        keys = replace(keys, forces=HELD)  # a controller's computer holds them over a step
     with error_in(f"log {path}:"):
         return _stretches(log, vehicle, keys, sensors)
 
@@ -129,6 +130,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
                 keys.added,
                 rest,
                 hubs,
+                keys.forces == HELD,
                 float(time[0] + step * first),
             )
         )
