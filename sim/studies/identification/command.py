@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser
-from models.common.printed import title_lines
+from models.common.errors import InputError
+from models.common.printed import Whole, title_lines
 from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
@@ -15,12 +16,12 @@ if TYPE_CHECKING:
     from sim.studies.identification.identification import Identification
 
 
-class IdentifyStudy(Study["Identification"]):
-    """Identification of a vehicle from logs."""
+class IdentifyStudy(Study["Identification | str"]):
+    """Identification of a vehicle from logs; with --columns the text of a first map."""
 
     description = "Identify the parameters of a vehicle from measured logs, with intervals and what they do not determine."
     epilog = """
-exit code: 0 the residuals are white; 1 they are not, so the vehicle lacks something; 2 invalid input
+exit code: 0 the residuals are white, or --columns; 1 they are not white, so the vehicle lacks something; 2 invalid input
 
 examples:
   python -m sim.identify rig.csv --vehicle start.toml --signals map.toml --out found.toml
@@ -51,49 +52,60 @@ examples:
 
         options = request.options
         check_outputs({"save": options.out}, [*options.files, *options.hold_out], options.json)
+        if options.columns and options.picture is not None:
+            raise InputError("--columns draws no picture; omit --picture")
 
-    def run(self, request: StudyRequest, progress: Progress) -> "Identification":
+    def run(self, request: StudyRequest, progress: Progress) -> "Identification | str":
         from models.common.files import whole_file
         from models.vehicle.vehicle import read_vehicle
+        from sim.studies.identification.columns import map_text
         from sim.studies.identification.identification import identify
         from sim.studies.identification.report import vehicle_text
 
         options = request.options
         vehicle = read_vehicle(options.vehicle)
         progress("logs and estimate")
-        result = identify(options.files, vehicle, options.signals, options.fix, options.free, options.hold_out, options.seed)
+        if options.columns:
+            result = text = map_text(options.files, vehicle)
+        else:
+            result = identify(options.files, vehicle, options.signals, options.fix, options.free, options.hold_out, options.seed)
+            text = vehicle_text(result, options.files) if options.out is not None else ""
         if options.out is not None:
-            text = vehicle_text(result, options.files)
             with whole_file(options.out, "save") as beside:
                 beside.write_text(text, encoding="utf-8", newline="\n")
         return result
 
-    def title(self, request: StudyRequest, result: "Identification") -> str:
+    def title(self, request: StudyRequest, result: "Identification | str") -> str:
+        assert not isinstance(result, str)
         logs = ", ".join(path.name for path in request.options.files)
         return f"{result.vehicle.kind.name} identified from {logs}"
 
-    def lines(self, request: StudyRequest, result: "Identification", files: "Sequence[str]") -> list[str]:
+    def lines(self, request: StudyRequest, result: "Identification | str", files: "Sequence[str]") -> list[str]:
         from models.document.text import text_lines
 
         options = request.options
+        if isinstance(result, str):
+            return [f"map: {options.out}"] if options.out is not None else [Whole(line) for line in result.splitlines()]
         out = [f"  vehicle file: {options.out}"] if options.out is not None else []
         title = title_lines(self.title(request, result), result.vehicle.source)
         return [*title, *files, *out, "", *text_lines(self.describe(request, result), "full" if options.verbose else "normal")]
 
-    def describe(self, request: StudyRequest, result: "Identification") -> "Document":
+    def describe(self, request: StudyRequest, result: "Identification | str") -> "Document":
         from sim.studies.identification.report import describe
 
+        assert not isinstance(result, str)
         return describe(result)
 
-    def record(self, request: StudyRequest, result: "Identification") -> dict[str, Any]:
+    def record(self, request: StudyRequest, result: "Identification | str") -> dict[str, Any]:
         from sim.studies.identification.report import record
 
-        return record(result)
+        return {"map": result} if isinstance(result, str) else record(result)
 
-    def figure(self, request: StudyRequest, result: "Identification") -> "Figure":
+    def figure(self, request: StudyRequest, result: "Identification | str") -> "Figure":
         from sim.studies.identification.report import figure
 
+        assert not isinstance(result, str)
         return figure(result)
 
-    def holds(self, result: "Identification") -> bool:
-        return result.estimate.white
+    def holds(self, result: "Identification | str") -> bool:
+        return isinstance(result, str) or result.estimate.white
