@@ -54,6 +54,7 @@ CASES = {  # the cases of each command: their names and options
     "sim.campaign": {"plain": ("campaign.toml",)},
     "sim.inspect": {"plain": ("LOG",)},
     "sim.gallery": {"plain": ("textbook",)},
+    "sim.identify": {"plain": ("drop.csv", "--signals", "map.toml"), "columns": ("drop.csv", "--columns")},
     "sim.report": {"plain": QUICK, "limits": (*QUICK, *LIMITS)},
 }
 

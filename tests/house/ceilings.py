@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3164   2218      0
+what all commands share: files, options, checks, tables of numbers   3164   2219      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -36,7 +36,7 @@ laws and families in files                                      259    347    10
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     152    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  769    694    103
+laws in Python                                                  769    696    103
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            197    411    129
@@ -125,7 +125,7 @@ log re-verification                                             861    579     4
 recordings: MCAP, Foxglove, Rerun                              2194   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3545   1380     68
+page and figures                                               3548   1380     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
 campaigns                                                      2774   1799    205
@@ -147,8 +147,9 @@ ride metrics and their expectation                             3139   1276      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 measured logs beside runs                                       523    318     93
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              2410      0      0
-    sim/identify.py sim/studies/identification/*
+identification from measured logs                              2575      0    177
+    sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
+    docs/tutorials/identify-a-car.md
 map of validity                                                1258    369     33
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
@@ -170,7 +171,7 @@ commands that drive                                            1093    978    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5165   1582
+house, pages, benchmarks                                          0   5167   1592
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

@@ -23,6 +23,7 @@ BODY, HUB = (
 )
 TRAVEL = frozenset(["travel", "deflection", "stroke", "pot", "potentiometer", "lvdt", "damper", "shock", "suspension"])
 VELOCITY = frozenset(["vel", "velocity", "speed"])
+TYRE = frozenset(["tyre", "tire"])
 ROAD = frozenset(["road", "post", "platform", "table", "shaker", "actuator", "ground", "profile", "plate", "pad"])
 FORCE = frozenset(["force", "load", "loadcell"])
 WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {  # one of the first two, none of the third
@@ -30,7 +31,7 @@ WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {  
     "sprung_acceleration": (ACCELERATION, frozenset(), HUB),
     "unsprung_velocity": (VELOCITY, HUB, TRAVEL - {"suspension"}),
     "sprung_velocity": (VELOCITY, BODY, HUB),
-    "suspension_deflection": (TRAVEL, frozenset(), VELOCITY | ACCELERATION | FORCE | ROAD),
+    "suspension_deflection": (TRAVEL, frozenset(), VELOCITY | ACCELERATION | FORCE | ROAD | TYRE),
     "road_displacement": (ROAD, frozenset(), VELOCITY | ACCELERATION | FORCE),
     "control_force": (FORCE, frozenset(), HUB),
 }
@@ -46,7 +47,7 @@ class ColumnGuess:
     Attributes:
         signal: name of the signal.
         column: heading for the map, with a unit.
-        doubt: doubt about the unit; empty for a unit that the heading gives.
+        doubt: warning about the unit; empty for a unit that the heading gives.
     """
 
     signal: str

@@ -51,7 +51,7 @@ examples:
         from models.document.outputs import check_outputs
 
         options = request.options
-        check_outputs({"save": options.out}, [*options.files, *options.hold_out], options.json)
+        check_outputs({"vehicle": options.out}, [*options.files, *options.hold_out], options.json)
         if options.columns and options.picture is not None:
             raise InputError("--columns draws no picture; omit --picture")
 
@@ -71,7 +71,7 @@ examples:
             result = identify(options.files, vehicle, options.signals, options.fix, options.free, options.hold_out, options.seed)
             text = vehicle_text(result, options.files) if options.out is not None else ""
         if options.out is not None:
-            with whole_file(options.out, "save") as beside:
+            with whole_file(options.out, "vehicle") as beside:
                 beside.write_text(text, encoding="utf-8", newline="\n")
         return result
 

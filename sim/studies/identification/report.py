@@ -15,6 +15,7 @@ from models.common.toml_edit import Replacement, section_lines, with_replacement
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
 from models.document.figure import Curve, Figure, Panel
+from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.identification import Identification
@@ -259,4 +260,4 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
         "white": estimate.white,
         "logs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in logs},
     }
-    return with_sections(text, section_lines((SECTION,), content, "# 95 % intervals [SI] of roadproof identify"))
+    return with_sections(text, section_lines((SECTION,), content, IDENTIFIED))
