@@ -166,6 +166,7 @@ OWNERS = {
     "cloudpickle": {"models/kinds/kind.py", "models/laws/python_runtime.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
+        "models/common/table.py",
         "sim/campaign/columns.py",
         "sim/campaign/store.py",
         "sim/campaign/verify.py",

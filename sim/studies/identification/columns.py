@@ -47,12 +47,12 @@ class ColumnGuess:
     Attributes:
         signal: name of the signal.
         column: heading for the map, with a unit.
-        doubt: warning about the unit; empty for a unit that the heading gives.
+        warning: warning about the unit; empty for a unit that the heading gives.
     """
 
     signal: str
     column: str
-    doubt: str
+    warning: str
 
 
 def _words(text: str) -> frozenset[str]:
@@ -142,8 +142,8 @@ def _lines(
         yield ""
         yield f"[signals.{signal}]  # {units[signal]}"
         for i, one in enumerate(guesses):
-            doubt = f"  # {one.doubt}" if one.doubt else ""
-            yield f"{'# or: ' * bool(i)}column = {toml_value(one.column)}{doubt}"
+            warning = f"  # {one.warning}" if one.warning else ""
+            yield f"{'# or: ' * bool(i)}column = {toml_value(one.column)}{warning}"
         yield "# sign = -1           # if the sensor counts the other direction as positive"
         yield '# delay = "10 ms"     # or "estimate"'
     if others:

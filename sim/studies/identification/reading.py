@@ -34,7 +34,7 @@ class LogStretches:
 
 
 def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretches:
-    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4, .mcap), or a log of ours.
+    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of ours.
 
     Raises:
         InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
