@@ -204,8 +204,8 @@ class NumberTable:
 def table_text(path: Path) -> str:
     """Returns a file's text. A text file is UTF-8, else Windows-1252; that of LabVIEW has headings with units.
 
-    Other files become lines with tabs: of a spreadsheet (.xlsx) the sheet with a table, or else the first one, of a MATLAB file
-    (.mat) its arrays, of a Parquet file (.parquet) its columns of numbers.
+    Other files become lines with tabs. A spreadsheet (.xlsx) gives the sheet with a table, or else the first one. A MATLAB file
+    (.mat) gives its arrays, and a Parquet file (.parquet) its columns of numbers.
 
     Raises:
         InputError: the package for spreadsheets is not installed, several sheets have a table, a MATLAB or Parquet file has none,

@@ -161,7 +161,7 @@ def test_the_scale_is_named():
 def test_a_payload_or_a_force_determines_the_scale(by):
     """A second log with a known payload, or a measured force, determine all five parameters within four standard deviations."""
     road, random = chirp(6), np.random.default_rng(5)
-    force = lfilter([0.2], [1, -0.8], 500 * random.standard_normal((len(road), 1)), axis=0)
+    force = np.asarray(lfilter([0.2], [1, -0.8], 500 * random.standard_normal((len(road), 1)), axis=0))
     experiments = [log(CAR, (BODY, TRAVEL), road, 1, forces=force if by == "force" else None)]
     if by == "payload":
         laden = log(CAR.altered({MASS: P[MASS] + 100}), (BODY, TRAVEL), road, 2)
