@@ -134,6 +134,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "decay": "sim.runs.decay",
         "force diagrams": "sim.runs.force_diagram",
         "forces of parts": "sim.runs.forces",
+        "recorded logs": "sim.inspect.log",
         "signals as CSV": "sim.runs.signal_table",
         "start of a run": "sim.runs.start",
         "stops that a run reaches": "sim.runs.stops",

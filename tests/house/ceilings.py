@@ -21,11 +21,11 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3158   2218      0
+what all commands share: files, options, checks, tables of numbers   3189   2240      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
-vehicle file, types, equations, MJCF                           6332   2011    352
+vehicle file, types, equations, MJCF                           6335   2011    352
     models/{README.md,__init__.py,full_car.py,half_car*.py,quarter_car.py} sim/new.py
     models/laws/{__init__,design_request,law,linear}.py
     models/kinds/{__init__,car,kind,linear_model,motion,plausibility,rigid_body,rigid_motion,seat*,signals,strut_and_tyre}.py
@@ -36,7 +36,7 @@ laws and families in files                                      259    347    10
     models/vehicle/{in_place,*_file}.py tests/*/test_{law_files,toml}.py docs/how-to/import-controllers.md
 foreign FMU as a controller                                     152    198      0
     models/vehicle/*fmu*.py tests/models/test_foreign_fmu.py
-laws in Python                                                  769    694    103
+laws in Python                                                  769    696    103
     models/laws/{python_law,python_runtime,user_code}.py sim/drive/drivers/python.py tests/models/test_python_laws.py
     docs/how-to/python-control-laws.md tests/claims/test_any_controller.py
 custom vehicle types                                            197    411    129
@@ -125,11 +125,12 @@ log re-verification                                             861    579     4
 recordings: MCAP, Foxglove, Rerun                              2194   1142     48
     sim/recording/* sim/command/viewer.py tests/*/{npm.py,mcap_reader.mjs} docs/how-to/record-and-view.md
     tests/*/test_{foxglove,law_states,recording,rerun,viewer}.py
-page and figures                                               3545   1380     68
+page and figures                                               3548   1380     68
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2763   1799    205
-    sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
+campaigns                                                      2774   1799    205
+    sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py
+    docs/how-to/{campaign,tune-a-law}.md
 studies: one noun for commands and the page                     434      0      0
     sim/command/study.py sim/studies/{registry,study,subject}.py
 gallery of papers                                               734    343     49
@@ -138,14 +139,17 @@ gallery of papers                                               734    343     4
 margins in physics                                             1979    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-frequency, sweep                                               1924    602     36
+frequency, sweep                                               1926    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
 ride metrics and their expectation                             3139   1276      0
     sim/studies/{__init__,ride/__init__,ride/between_samples,ride/expected,ride/gaussian,ride/metrics,ride/quadrature}.py
     sim/studies/ride/{kinds/*,loads,over_roads,registry,run_metrics,standing,step_response,weighting}.py
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
-measured logs beside runs                                       523    318     93
+measured logs beside runs                                       523    318     96
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
+identification from measured logs                              2575    351    177
+    sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
+    docs/tutorials/identify-a-car.md
 map of validity                                                1258    369     33
     sim/envelope.py sim/studies/validity/{__init__,command,edges,grid,map_runs,re*}.py tests/sim/test_envelope.py
     docs/how-to/envelope.md
@@ -167,7 +171,7 @@ commands that drive                                            1093    978    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5162   1582
+house, pages, benchmarks                                          0   5168   1592
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

@@ -1,7 +1,7 @@
-"""What the residuals contain, by name: a delay, a factor, a sign, friction, a tyre's damping, lift-off, a resonance.
+"""Causes of a misfit by name: a delay, a factor, a sign, friction, a tyre's damping, lift-off, a resonance.
 
-A cause moves the predicted signals in a known direction g. Its size is the least-squares coefficient of the residuals on the part
-of g that the unknowns do not explain, and the share of the residuals' squares that it explains says how much of a misfit it is.
+A cause moves the predicted signals in a known direction g. The size of the cause is the least-squares coefficient of the
+residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -13,10 +13,11 @@ from scipy import linalg
 
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
+from models.common.printed import brief
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import Estimate, IdentificationProblem
 from sim.studies.identification.experiment import Channel
-from sim.studies.identification.prediction import Prediction, continuous_model
+from sim.studies.identification.prediction import LogPrediction, continuous_model
 from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {
@@ -46,7 +47,7 @@ class Cause:
     Attributes:
         words: the cause and its size.
         share: share of the squares of all residuals that it explains.
-        deviations: its size in standard deviations.
+        deviations: size in standard deviations.
     """
 
     words: str
@@ -146,7 +147,7 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
         if signal not in problem.delayed and lag:
             yield (
                 partial(
-                    "{0} is {1:.3g} ms {2} than in the map".format, signal, 1e3 * abs(lag), "later" if lag > 0 else "earlier"
+                    "{} is {} ms {} than in the map".format, signal, brief(1e3 * abs(lag)), "later" if lag > 0 else "earlier"
                 ),
                 _weighted(of, late),
             )
@@ -155,24 +156,24 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
     for place in vehicles[0].kind.suspensions:
         pushed = [_friction(one, vehicle, place.force) for one, vehicle in zip(problem.predictions, vehicles, strict=True)]
         yield (
-            partial(_size_words, f"friction of {{:.3g}} N in the suspension{place.ending.replace('_', ' ')}"),
+            partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}"),
             _weighted(of, pushed),
         )
     parameters = {one.name for one in problem.vehicle.kind.parameters}
     for name in sorted(one for one in parameters if one.startswith("tyre_damping")):
         if name not in of.free and not problem.vehicle.parts.nonlinear:
-            words = f"{name} of {{:.3g}} N s/m more than in the file"
+            words = f"{name} of {{}} N s/m more than in the file"
             yield partial(_size_words, words), _weighted(of, _by_parameter(of, name))
 
 
 def _size_words(words: str, coefficient: float) -> str:
-    return words.format(coefficient)
+    return words.format(brief(coefficient))
 
 
 def _gain_words(signal: str, coefficient: float) -> str:
     factor = 1 + coefficient
     named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
-    return f"{signal} as {factor:.3g} times what its unit says{named}"
+    return f"{signal} as {brief(factor)} times what its unit says{named}"
 
 
 def _lag(of: Estimate, signal: str) -> float:
@@ -201,7 +202,7 @@ def _weighted(of: Estimate, moved: list[Array]) -> Array:
     return np.concatenate([*rows, np.zeros(len(of.problem.known))])
 
 
-def _friction(prediction: Prediction, vehicle: Vehicle, force: str) -> Array:
+def _friction(prediction: LogPrediction, vehicle: Vehicle, force: str) -> Array:
     """Returns the signals under 1 N of friction in a suspension, shape (T, q)."""
     one, model = prediction.experiment, vehicle.linear_model
     deflection = vehicle.kind.deflection_of(force)
@@ -209,7 +210,7 @@ def _friction(prediction: Prediction, vehicle: Vehicle, force: str) -> Array:
 
     from sim.studies.identification.experiment import Channel
 
-    alone = Prediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
+    alone = LogPrediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
     travel = alone({}, {}, None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
     speed = np.gradient(travel, one.step)
     # The force pulls the ends together as they move apart.
@@ -248,7 +249,7 @@ def resonances(of: Estimate) -> list[str]:
             for pole in sorted(poles, key=lambda pole: -abs(pole))[:1]:
                 frequency = abs(float(np.angle(pole))) / (2 * np.pi * one.step)
                 if abs(pole) > SHARP and 0.05 < frequency * one.step < 0.45:
-                    remarks.append(f"the residuals of {name} oscillate at {frequency:.3g} Hz: a resonance that the vehicle lacks")
+                    remarks.append(f"the residuals of {name} oscillate at {brief(frequency)} Hz, which the vehicle does not")
     return remarks
 
 
@@ -262,7 +263,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
         limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)
         names = [name for name in limits if name in vehicle.linear_model.outputs]
         channels = tuple(Channel(name, np.zeros(len(one.experiment.road))) for name in names)
-        alone = Prediction(replace(one.experiment, channels=channels), lambda _, vehicle=vehicle: vehicle)
+        alone = LogPrediction(replace(one.experiment, channels=channels), lambda _, vehicle=vehicle: vehicle)
         start, _ = of.residuals.unknowns.of_experiment(i)
         first = of.x[start] if of.residuals.unknowns.starts[i] else None
         if first is not None and not len(first):

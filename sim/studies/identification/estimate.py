@@ -1,13 +1,14 @@
 """Maximum likelihood of a vehicle's parameters, with intervals, and the directions that the logs do not determine.
 
-The residuals of each sensor are divided by its own noise rms, given or estimated as the rms of its residuals, by turns with the
-parameters. Unknown are the logarithms of the free parameters, the delays of sensors, the state at the start of each experiment
-and the offsets. `scipy.optimize.least_squares` finds their least squares.
+The residuals of each sensor are divided by the rms of its noise. This rms is given, or is that of the residuals, estimated
+alternately with the parameters. Unknown are the logarithms of the free parameters, the delays of sensors, the state at the start
+of each experiment and the offsets. `scipy.optimize.least_squares` finds their least squares.
 
-Directions. With J the derivatives of all residuals, its part by the parameters that is left beside all other unknowns has the
-singular values s and directions V of logarithms: J'J is the information matrix. A direction with s = 0 moves no signal. The
-motion of a quarter-car has one: all masses, stiffnesses and dampings times one number. Then as many parameters as there are such
-directions keep their first values. What the logs determine are products of powers: of each other parameter with these.
+Directions. J contains the derivatives of all residuals, and J'J is the information matrix. The part of J that belongs to the
+parameters, without what all other unknowns explain, has the singular values s and directions V of logarithms. A direction with
+s = 0 moves no signal. The motion of a quarter-car has one: all masses, stiffnesses and dampings times one number. Then as many
+parameters as there are such directions keep their first values. What the logs determine are products of powers: of each other
+parameter with these.
 
 Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a sensor are coloured, this is too small. Then it is
 (J'J)^-1 J'RJ (J'J)^-1 with the autocovariance R of an autoregressive model of each sensor's residuals.
@@ -26,7 +27,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, list_names
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Experiment
-from sim.studies.identification.prediction import PredictedSignals, Prediction
+from sim.studies.identification.prediction import LogPrediction, PredictedSignals
 from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
 
 NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
@@ -53,7 +54,7 @@ class Known:
         name: name for reports.
         of: the quantity of a vehicle's parameters [SI].
         value: measured value.
-        deviation: its standard deviation.
+        deviation: standard deviation of the value.
     """
 
     name: str
@@ -64,7 +65,7 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """What is identified from which experiments.
+    """Parameters to identify, and the experiments that measured them.
 
     Attributes:
         vehicle: vehicle with the first values of its parameters.
@@ -83,9 +84,9 @@ class IdentificationProblem:
     from_zero: frozenset[str] = frozenset()
 
     @cached_property
-    def predictions(self) -> tuple[Prediction, ...]:
+    def predictions(self) -> tuple[LogPrediction, ...]:
         """The prediction of each experiment."""
-        return tuple(Prediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
+        return tuple(LogPrediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
@@ -274,7 +275,7 @@ class Estimate:
     """Result of an identification.
 
     Attributes:
-        problem: what was identified.
+        problem: parameters and experiments.
         values: values of all free parameters [SI], by name; those in `held` have their first ones.
         free: names of the parameters that were estimated, p of them.
         held: parameters that kept their first values, as the signals determine only their products with others.
@@ -282,9 +283,9 @@ class Estimate:
         silent: parameters that no signal feels, with their first values.
         delays: estimated delays [s], by signal.
         noise: noise rms of each signal.
-        covariance: of the logarithms of the free parameters if the residuals are white, shape (p, p).
-        robust: the same from the autocovariance of the residuals.
-        whiteness: of the residuals of each experiment's signals.
+        covariance: covariance of the logarithms of the free parameters if the residuals are white, shape (p, p).
+        robust: the same covariance from the autocovariance of the residuals.
+        whiteness: whiteness of the residuals of each experiment's signals.
         differences: predicted less measured signals of each experiment, shape (T, q).
         predicted: predicted signals of each experiment, shape (T, q).
         deviance: -2 log likelihood but for a constant.
@@ -351,7 +352,7 @@ class Estimate:
 
     @cached_property
     def ratios(self) -> dict[str, dict[str, float]]:
-        """What the logs determine of each free parameter if some were held: the powers of its product with these, by name."""
+        """Product of each free parameter with held ones that the logs determine: powers, by name."""
         if not self.directions:
             return {}
         N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
@@ -467,7 +468,7 @@ def _first(of: _Residuals, shift: Array | None = None) -> Array:
 
 
 def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
-    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters by turns."""
+    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate."""
     noise = of.noise(x)
     for _ in range(ROUNDS):
         x = _least_squares(of, x, noise)
@@ -613,8 +614,8 @@ def _estimate(
 def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
     """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
 
-    A side is open if the parameter can move by a factor of 8000, or to zero if it may be zero, without that the likelihood falls
-    as far as at the end of an interval. If residuals are coloured, the likelihood counts for less, as in the robust covariance.
+    A side is open if the likelihood does not fall as far as at the end of an interval. The parameter then moved by a factor of
+    8000, or to zero if it may be zero. If residuals are coloured, the likelihood counts for less, as in the robust covariance.
     """
     from scipy.optimize import brentq
 

@@ -14,7 +14,7 @@ class Channel:
 
     Attributes:
         signal: name of the vehicle's signal.
-        values: measured values in SI units, shape (T,); NaN where there is none, or where the value does not count.
+        values: measured values in SI units, shape (T,); NaN for a missing value, or one that does not count.
         noise: rms of the sensor's noise, in the signal's unit; None if it is estimated.
         delay: delay of the sensor [s], or its first value if it is estimated.
         delay_estimated: True if the delay is estimated.
@@ -45,7 +45,7 @@ class Experiment:
             samples they follow straight lines.
         forces: control forces [N], shape (T, m).
         channels: measured signals.
-        added: what the vehicle carries beyond that of the file: additions to parameters, by name [SI].
+        added: additions to parameters of the vehicle file, such as a payload, by name [SI].
         from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
         hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
         forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.

@@ -10,8 +10,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, alike, short_repr
+from models.common.printed import rough
 from models.vehicle.vehicle import Vehicle
-from sim.campaign.samples import with_sample
+from sim.runs.sampled_vehicle import with_sample
 from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
 from sim.studies.identification.estimate import (
     CHI2,
@@ -59,8 +60,8 @@ class Identification:
 
     Attributes:
         estimate: the estimate.
-        intervals: interval of each free parameter that the logs determine alone; of others there is none.
-        causes: what the residuals contain.
+        intervals: interval of each free parameter that the logs determine alone.
+        causes: causes of a misfit in the residuals.
         remarks: remarks on logs and columns.
         mirror: values of another solution that fits as well, by name; empty if none is known.
         held_out: share of the rms of each signal that the prediction explains in logs that were not used, by experiment.
@@ -157,7 +158,7 @@ def identify(
     Args:
         logs: files of logs, see `sim.studies.identification.reading`.
         vehicle: vehicle with first values. All that is not free stays as it is.
-        log_map: which column is which signal; None for logs whose headings are names of signals.
+        log_map: map of columns to signals; None for logs whose headings are names of signals.
         fix: parameters that keep their values.
         free: further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
         hold_out: logs that are only predicted.
@@ -227,7 +228,7 @@ def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Arra
                 channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
                 experiments.append(
                     replace(
-                        one, name=f"{one.name}, {one.start + one.step * first:.4g} s", road=one.road[first:last],
+                        one, name=f"{one.name}, {rough(one.start + one.step * first)} s", road=one.road[first:last],
                         forces=one.forces[first:last], channels=channels, from_rest=one.from_rest and first == 0,
                         start=one.start + one.step * first,
                     )

@@ -1,21 +1,20 @@
-"""Maps of logs (TOML): which column is which signal, how its sensor measures, and what drove the vehicle.
+"""Maps of logs (TOML): columns of signals, their sensors, and what drove the vehicle."""
 
-road = "logged"                      # or "flat", "unknown", or a road as `roadproof drive --road` takes it, with a speed
-start = "estimated"                  # or "rest"
-
-[signals.sprung_acceleration]
-column = "AccZ [g]"                  # heading of the column
-sign = -1                            # if the sensor is mounted upside down
-delay = "10 ms"                      # or "estimate"
-offset = "estimate"                  # or a number
-noise = "estimate"                   # or its rms
-
-[known]
-corner_weight = { value = "5560 N", deviation = "20 N" }
-
-[logs."payload.csv"]
-added = { sprung_mass = "40.8 kg" }  # keys of the map for this log alone, and what the vehicle carries in it
-"""
+# road = "logged"                      # or "flat", "unknown", or a road as `roadproof drive --road` takes it, with a speed
+# start = "estimated"                  # or "rest"
+#
+# [signals.sprung_acceleration]
+# column = "AccZ [g]"                  # heading of the column
+# sign = -1                            # if the sensor is mounted upside down
+# delay = "10 ms"                      # or "estimate"
+# offset = "estimate"                  # or a number
+# noise = "estimate"                   # or its rms
+#
+# [known]
+# corner_weight = { value = "5560 N", deviation = "20 N" }
+#
+# [logs."payload.csv"]
+# added = { sprung_mass = "40.8 kg" }  # keys of the map for this log alone, and what the vehicle carries in it
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace

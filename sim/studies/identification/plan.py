@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, list_names
-from models.document.field import Field
+from models.document.field import Field, Record
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import IdentificationProblem, standard_deviations
 from sim.studies.identification.experiment import Channel, Experiment
@@ -57,6 +57,8 @@ PLANS = (
     Field[Plan]("amplitude", lambda one: one.amplitude, ".2g", 1e3, key="amplitude", unit="mm"),
     Field[Plan]("worst deviation", lambda one: one.worst, ".2g", 100, key="worst", unit="%"),
 )
+
+PLAN = Record[Plan](*PLANS, deviations="deviations")
 
 
 def chirp(duration: float, low: float, high: float, step: float) -> Array:

@@ -4,11 +4,11 @@ A vehicle with straight springs and dampers has
 
     x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
 
-with the road heights and forces v, which follow straight lines between samples. The step from sample to sample then is exact by
-the matrix exponential of [x; v; v'], and so are measurements at any time within the step: those of a sensor with a delay.
+with the road heights and forces v, which follow straight lines between samples. The matrix exponential of [x; v; v'] then gives
+the exact step from sample to sample. It also gives the measurements at any time within the step: those of a sensor with a delay.
 
-Matrices of the step are differentiated by central differences. Derivatives of the response follow from these by the recursion of
-the response itself, so their error is that of the matrices, about 1e-10, for logs of any length.
+Matrices of the step are differentiated by central differences. The recursion of the response itself then gives
+the derivatives of the response. Their error is that of the matrices, about 1e-10, for logs of any length.
 
 A vehicle with force elements or tables takes steps of RK4 (`sim.linear.stepped`). Its derivatives are differences of responses.
 """
@@ -64,7 +64,7 @@ class _Step:
         return _Step(self.Phi / number, self.Gamma / number, self.rows / number, self.rates / number)
 
 
-class Prediction:
+class LogPrediction:
     """Signals of an experiment for any values of the parameters.
 
     Args:

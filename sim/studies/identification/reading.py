@@ -9,7 +9,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
+from models.common.extensions import FEATURES
 from models.common.logs.measured_log import MeasuredLog, read_measured_log
+from models.common.printed import brief, percent, rough
 from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.experiment import Channel, Experiment
 from sim.studies.identification.log_map import FLAT, HELD, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
@@ -32,7 +34,7 @@ class LogStretches:
 
 
 def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretches:
-    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet, .mf4, .mcap), or a log of ours.
+    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of ours.
 
     Raises:
         InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
@@ -54,12 +56,10 @@ def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretc
 
 def _own_log(path: Path, units: Mapping[str, str]) -> MeasuredLog:
     """Returns MuJoCo's signals of a log that bump or drive wrote: those that a sensor could measure, road and forces."""
-    from sim.inspect.log import read_log
-    from sim.recording.run_log import MUJOCO
-
-    log = read_log(path)
+    recorded = FEATURES.load("recorded logs")
+    log = recorded.read_log(path)
     run = log.runs[-1]
-    samples = run.responses[MUJOCO]
+    samples = run.responses[recorded.MUJOCO]
     time = (samples.times - samples.times[0]) * 1e-9
     driven = ("road_displacement", "control_force", "suspension_deflection", "sprung_acceleration")
     signals = {
@@ -137,7 +137,7 @@ def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mappi
     if not experiments:
         raise InputError(f"no stretch of {LEAST} samples without a gap in the road or the forces")
     if len(experiments) > 1:
-        names = (f"{one.name}, {one.start:.4g} s" for one in experiments)
+        names = (f"{one.name}, {rough(one.start)} s" for one in experiments)
         experiments = [replace(one, name=name) for one, name in zip(experiments, names, strict=True)]
         remarks.append(f"gaps divide the log into {len(experiments)} stretches, each with a state of its own at its start")
     return LogStretches(tuple(experiments), tuple(f"{Path(log.source).name}: {one}" for one in remarks))
@@ -166,7 +166,7 @@ def _grid(time: Array) -> tuple[float, Array, list[str]]:
     if deviation > JITTER:
         rounded = len(np.unique(np.round(diffs, 9))) <= 5
         remarks.append(
-            f"times deviate by up to {100 * deviation:.0f} % of the step of {1e3 * step:.4g} ms from equidistant ones"
+            f"times deviate by up to {percent(deviation)} of the step of {rough(1e3 * step)} ms from equidistant ones"
             f"{'; they look rounded' * rounded}: samples count as equidistant, which is an error of phase"
         )
     if missing:
@@ -220,11 +220,11 @@ def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
             clipped = _blocks(np.where(values == extreme, lengths, 0), CLIPPED)
             if clipped.sum() >= 2 * CLIPPED:
                 remarks.append(
-                    f"{name} is clipped at its {word} value {extreme:.4g} {unit}: {int(clipped.sum())} samples do not count"
+                    f"{name} is clipped at its {word} value {rough(extreme)} {unit}: {int(clipped.sum())} samples do not count"
                 )
                 values = np.where(clipped, np.nan, values)
     else:
-        remarks.append(f"{name} keeps its value in {100 * usual:.0f} % of the samples: its resolution is coarse")
+        remarks.append(f"{name} keeps its value in {percent(usual)} of the samples: its resolution is coarse")
     return values, remarks
 
 
@@ -277,6 +277,6 @@ def _slow(road: Array, step: float, hubs: bool) -> list[str]:
     if slow >= COARSE:
         return []
     return [
-        f"the log is sampled at {1 / step:.4g} Hz, but most of the road's motion is faster than {0.25 / step:.3g} Hz: the road "
-        "between samples is not known, and the result is biased"
+        f"the log is sampled at {rough(1 / step)} Hz, but most of the road's motion is faster than {brief(0.25 / step)} Hz: the "
+        "road between samples is not known, and the result is biased"
     ]

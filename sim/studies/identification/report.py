@@ -11,11 +11,12 @@ import numpy as np
 
 from models.common.errors import list_names
 from models.common.files import parse_toml
-from models.common.printed import finite
+from models.common.printed import digits, entry, finite, percent, rough
 from models.common.toml_edit import Replacement, section_lines, with_replacements
 from models.document.document import Document, Statement, Table, notes
 from models.document.field import Field, Record
 from models.document.figure import Curve, Figure, Panel
+from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed import ALLOWED, AllowedResult
 from sim.studies.identification.estimate import Estimate
@@ -111,7 +112,7 @@ def product_words(powers: Mapping[str, float]) -> str:
 
 
 def _power(name: str, power: float) -> str:
-    return name if power == 1 else f"{name}^{power:.4g}"
+    return name if power == 1 else f"{name}^{rough(power)}"
 
 
 def sensor_rows(of: Identification) -> list[SensorRow]:
@@ -169,7 +170,7 @@ def statements(of: Identification) -> Iterator[Statement]:
         if name in of.intervals:
             yield Statement(f"{name} is not determined in practice: its interval is wider than a factor of 7 each way.", "ends")
     if of.mirror:
-        values = ", ".join(f"{name} {of.mirror[name]:.5g}" for name in of.mirror if name in estimate.free)
+        values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
         yield Statement(
             f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
             "ends",
@@ -183,9 +184,7 @@ def statements(of: Identification) -> Iterator[Statement]:
             "fails",
         )
     for cause in of.causes[:3]:
-        yield Statement(
-            f"The residuals contain {cause.words}, which explains {100 * cause.share:.0f} % of their squares.", "ends"
-        )
+        yield Statement(f"The residuals contain {cause.words}, which explains {percent(cause.share)} of their squares.", "ends")
 
 
 def describe(of: Identification) -> Document:
@@ -199,7 +198,7 @@ def describe(of: Identification) -> Document:
     blocks.append(Table.of("sensors", caption, SENSORS, sensor_rows(of), words=3))
     blocks += [*statements(of)]
     for name, fits in of.held_out:
-        text = ", ".join(f"{signal} {100 * fit:.1f} %" for signal, fit in fits.items())
+        text = ", ".join(f"{signal} {rough(100 * fit)} %" for signal, fit in fits.items())
         blocks.append(Statement(f"Hold-out log {name}: fit of {text}."))
     if of.in_mujoco:
         worst = max(of.in_mujoco, key=lambda name: of.in_mujoco[name])
@@ -271,7 +270,7 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
     start, rows = estimate.problem.vehicle, parameter_rows(of)
     tables = [name for name in vehicle.curves if name in estimate.values]
     written = parse_toml(start.text)["parameters"]
-    values = {name: float(f"{estimate.values[name]:.8g}") for name in estimate.free if name not in tables}
+    values = {name: float(digits(estimate.values[name])) for name in estimate.free if name not in tables}
     replaced = [Replacement(("parameters", name), {name: value}) for name, value in values.items() if name in written]
     text = with_replacements(start.text, replaced)
     intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
@@ -284,4 +283,4 @@ def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
         "white": estimate.white,
         "logs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in logs},
     }
-    return with_sections(text, section_lines((SECTION,), content, "# 95 % intervals [SI] of roadproof identify"))
+    return with_sections(text, section_lines((SECTION,), content, IDENTIFIED))

@@ -19,7 +19,7 @@ class Whiteness:
         correlations: autocorrelation from lag 1 on, shape (LAGS,).
         bound: 95 % of white residuals' correlations lie within +- this.
         outside: share of the correlations beyond.
-        probability: of such correlations or larger ones if the residuals are white (Ljung and Box, 1978).
+        probability: probability of such correlations or larger ones if the residuals are white (Ljung and Box, 1978).
         samples: number of residuals.
     """
 
@@ -47,7 +47,7 @@ def covariances(values: Array, lags: int) -> tuple[Array, Array]:
 
 
 def whiteness(values: Array) -> Whiteness:
-    """Tests residuals, shape (T,); NaN where there is none."""
+    """Tests residuals, shape (T,); NaN for a missing one."""
     from scipy.special import chdtrc
 
     n = int(np.isfinite(values).sum())
