@@ -147,7 +147,7 @@ ride metrics and their expectation                             3139   1276      
     tests/*/test_{expected*,metrics,midway,settled,standing,step_response}.py
 measured logs beside runs                                       523    318     96
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              2575    351    177
+identification from measured logs                              2940    351    177
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1258    369     33

@@ -24,7 +24,7 @@ class AllowedResult:
 
     Attributes:
         name: name of the controller.
-        bound: proved bound on the norm for the estimate; None if there is none.
+        bound: proved bound on the norm for the estimate; None without a proof.
         worst_bound: largest proved bound of all vehicles; None if one of them has none.
         gain_margin: smallest gain margin; infinite for no limit.
         disk_margin: smallest disk margin; None without one.
@@ -43,10 +43,11 @@ class AllowedResult:
     vehicles: int
 
 
+WORST_BOUND = Field[AllowedResult]("worst bound", lambda row: row.worst_bound, ".5g", key="worst_bound")
 ALLOWED = (
     Field[AllowedResult]("controller", lambda row: row.name, key="controller"),
     Field[AllowedResult]("bound", lambda row: row.bound, ".5g", key="bound"),
-    Field[AllowedResult]("worst bound", lambda row: row.worst_bound, ".5g", key="worst_bound"),
+    WORST_BOUND,
     Field[AllowedResult]("gain margin", lambda row: row.gain_margin, ".3g", key="gain_margin"),
     Field[AllowedResult]("disk margin", lambda row: row.disk_margin, ".2g", key="disk_margin"),
     Field[AllowedResult]("ride", lambda row: row.ride, ".3g", key="ride", unit="m/s²"),

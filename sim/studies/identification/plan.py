@@ -17,7 +17,7 @@ from sim.studies.identification.estimate import IdentificationProblem, standard_
 from sim.studies.identification.experiment import Channel, Experiment
 from sim.studies.identification.identification import changed, free_parameters
 from sim.studies.identification.log_map import LogMap
-from sim.studies.identification.prediction import Prediction
+from sim.studies.identification.prediction import LogPrediction
 
 RESERVE = 0.8  # share of the static compression of a tyre, and of a suspension's travel, that the motion may have
 DURATIONS = (10.0, 30.0, 60.0)  # s
@@ -33,9 +33,9 @@ class Plan:
     """A chirp and what it determines.
 
     Attributes:
-        duration: its duration [s].
-        low, high: its frequencies at start and end [Hz].
-        amplitude: its amplitude [m].
+        duration: length of the chirp [s].
+        low, high: frequencies at start and end [Hz].
+        amplitude: largest height [m].
         deviations: relative standard deviation of each parameter; infinite for one that it does not determine.
     """
 
@@ -105,6 +105,6 @@ def _loads(vehicle: Vehicle, road: Array) -> float:
     names = [name for name in limits if name in vehicle.linear_model.outputs]
     channels = tuple(Channel(name, np.zeros(len(road))) for name in names)
     forces = np.zeros((len(road), len(vehicle.linear_model.inputs)))
-    prediction = Prediction(Experiment("", STEP, road, forces, channels, from_rest=True), lambda _: vehicle)
+    prediction = LogPrediction(Experiment("", STEP, road, forces, channels, from_rest=True), lambda _: vehicle)
     values = prediction({}, {}, None, [0.0] * len(names), False).values
     return float(np.abs(values / [limits[name] for name in names]).max())

@@ -14,11 +14,11 @@ from models.common.files import parse_toml
 from models.common.printed import digits, entry, finite, percent, rough
 from models.common.toml_edit import Replacement, section_lines, with_replacements
 from models.document.document import Document, Statement, Table, notes
-from models.document.field import Field, Record
+from models.document.field import Field, Record, at_most
 from models.document.figure import Curve, Figure, Panel
 from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
-from sim.studies.identification.allowed import ALLOWED, AllowedResult
+from sim.studies.identification.allowed import ALLOWED, WORST_BOUND, AllowedResult
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.identification import Identification
 from sim.studies.identification.plan import PLANS, Plan
@@ -202,13 +202,19 @@ def describe(of: Identification) -> Document:
         blocks.append(Statement(f"Hold-out log {name}: fit of {text}."))
     if of.in_mujoco:
         worst = max(of.in_mujoco, key=lambda name: of.in_mujoco[name])
-        blocks.append(Statement(f"MuJoCo differs from the prediction by at most {of.in_mujoco[worst]:.1e} of a peak ({worst})."))
+        blocks.append(
+            Statement(f"MuJoCo differs from the prediction by at most {at_most(of.in_mujoco[worst])} of a peak ({worst}).")
+        )
     if of.allowed:
         caption = f"controllers on {of.allowed[0].vehicles} vehicles: the estimate, and the ends of the axes of the 95 % ellipse"
         blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
         for one in of.allowed:
             if one.worst_bound is not None:
-                blocks.append(Statement(f"`{one.name}` has a proved norm below {one.worst_bound:.5g} on each of these.", "holds"))
+                blocks.append(
+                    Statement(
+                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these.", "holds"
+                    )
+                )
     blocks += notes(*of.remarks)
     return Document("Identification", tuple(blocks))
 
