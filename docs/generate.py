@@ -232,6 +232,13 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
         ("suspension_deflection", "m", "this state of the linear model at the start of a run; so for its other states"),
     ]
     sections["[parts.NAME]"] = section_keys(PartSite)
+    sections["[identified]"] = [
+        ("intervals", "", "95 % interval of each identified parameter [SI]; information only, as all keys of this section"),
+        ("fixed", "", "parameters that kept their first values, with the reason"),
+        ("correlations", "", "correlations of the identified parameters"),
+        ("white", "", "true if the residuals are white"),
+        ("logs", "", "SHA-256 of each log"),
+    ]
     sections |= {f'[parts.NAME] with kind = "{name}"': section_keys(one) for name, one in element_kinds().items()}
     sections["a campaign file"] = section_keys(CampaignFile)
     sections["[samples] of a campaign file"] = section_keys(SamplesSection)

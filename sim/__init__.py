@@ -5,7 +5,7 @@ Public names, imported when they are first used; all units are SI:
 - runs: `run`, a `Run` for each controller, of whatever kind; `sample_times`, and `Response`, which `to_pandas` and `to_control`
   export
 - their ride, travel and grip: `measure_run`, and `RunMetrics`
-- found in MuJoCo beside what is predicted: `find_margins`, and `identify`, the frequency response
+- measured in MuJoCo, with their predictions: `find_margins`, and `measure_responses`, the frequency responses
 - their logs: `run_log`, and `record`
 - the best controllers for a vehicle and a road: `recommend`, a `Recommendation`
 - own control laws of many runs side by side: `Driver`
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from sim.recording.run_records import run_log
     from sim.runs.by_name import run
     from sim.runs.run import Run, sample_times
-    from sim.studies.frequency.identification import identify
+    from sim.studies.frequency.identification import measure_responses
     from sim.studies.recommend.recommend import recommend
     from sim.studies.recommend.result import Recommendation
     from sim.studies.ride.run_metrics import RunMetrics, measure_run

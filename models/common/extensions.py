@@ -150,6 +150,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "decay": "sim.runs.decay",
         "force diagrams": "sim.runs.force_diagram",
         "forces of parts": "sim.runs.forces",
+        "recorded logs": "sim.inspect.log",
         "signals as CSV": "sim.runs.signal_table",
         "start of a run": "sim.runs.start",
         "stops that a run reaches": "sim.runs.stops",
@@ -212,6 +213,11 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "front": f"{_FREQUENCY}:FrontStudy",
         "paper": "sim.report.designs:PaperStudy",
         "gallery": ("sim.studies.gallery.command:GalleryStudy", "compare with published results", "NAME"),
+        "identify": (
+            "sim.studies.identification.command:IdentifyStudy",
+            "identify a vehicle from measured logs",
+            "LOG --signals --out",
+        ),
     },
 }
 _ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # a metric is never combined over runs by default

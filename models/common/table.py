@@ -33,6 +33,7 @@ SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
 LONGEST_UNIT = 3  # characters of a unit that is unknown
+MOST_BYTES = 500 * 10**6  # of a file: more would not fit into memory as text
 HALF_A_DAY = 43200.0  # s, after which clocks of 12 hours start again
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in small letters
@@ -201,13 +202,21 @@ class NumberTable:
 
 
 def table_text(path: Path) -> str:
-    """Returns a file's text; of a spreadsheet (.xlsx) the sheet with a table, or else the first one, of a MATLAB file (.mat) its
-    arrays, as lines with tabs. A text file is UTF-8, else Windows-1252; that of LabVIEW has headings with units.
+    """Returns a file's text. A text file is UTF-8, else Windows-1252; that of LabVIEW has headings with units.
+
+    Other files become lines with tabs. A spreadsheet (.xlsx) gives the sheet with a table, or else the first one. A MATLAB file
+    (.mat) gives its arrays, and a Parquet file (.parquet) its columns of numbers.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, several sheets have a table, or a MATLAB file has none.
+        InputError: the package for spreadsheets is not installed, several sheets have a table, a MATLAB or Parquet file has none,
+            or the file is too large.
     """
     suffix = path.suffix.lower()
+    if (size := path.stat().st_size) > MOST_BYTES:
+        most = f"at most {MOST_BYTES // 10**6} MB are read"
+        raise InputError(f"the file has {size // 10**6} MB, but {most}; cut it, or resample it at a lower rate")
+    if suffix == ".parquet":
+        return _tab_text(_parquet_rows(path))
     if suffix == ".xlsx":
         try:
             from python_calamine import CalamineWorkbook  # pyright: ignore[reportMissingImports] - an extra
@@ -241,6 +250,22 @@ def _has_numbers(row: Sequence[Any]) -> bool:
 
 def _tab_text(rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join("\t".join(" ".join(str(cell).split()) for cell in row) for row in rows)
+
+
+def _parquet_rows(path: Path) -> list[Sequence[Any]]:
+    """Returns names and numbers of the columns of a Parquet file; missing numbers are NaN."""
+    from pyarrow import ArrowInvalid, types
+    from pyarrow.parquet import read_table
+
+    try:
+        table = read_table(path)
+    except ArrowInvalid as error:
+        raise InputError(f"it is not a Parquet file, or is damaged ({error}); write it again") from error
+    numbers = [i for i, one in enumerate(table.schema) if types.is_integer(one.type) or types.is_floating(one.type)]
+    if not numbers:
+        raise InputError(f"no column of {list_names(table.column_names)} has numbers; give columns of numbers, times in seconds")
+    columns = [table.column(i).to_numpy() for i in numbers]
+    return [[table.column_names[i] for i in numbers], *zip(*(one.tolist() for one in columns), strict=True)]
 
 
 def _matlab_rows(content: bytes) -> list[Sequence[Any]]:

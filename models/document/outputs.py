@@ -9,17 +9,19 @@ from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
 SUFFIXES = (".png", ".svg", ".pdf")  # of pictures
-OPTIONS = {"report": "out"}  # options whose name differs from the output's
+OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from the output's
 FOLDERS = ("logs", "figures", "certificates")
 ENDINGS = {  # allowed suffixes, and the reason
     "picture": (SUFFIXES, "this kind of picture cannot be written"),
     "report": ((".html", ".htm"), "a report is HTML"),
     "csv": ((".csv",), "a table is written as CSV"),
     "save": ((".toml",), "a vehicle file is TOML"),
+    "vehicle": ((".toml",), "vehicle files and maps are TOML"),
 }
 CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
 CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
-SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM)  # comments of which every saved vehicle file has one
+IDENTIFIED = "# 95 % intervals [SI] of roadproof identify"
+SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM, IDENTIFIED)  # comments of which every saved vehicle file has one
 TEXTS = ("csv", "save")  # these may be printed
 OF_FIGURES = (*SUFFIXES, ".csv")
 
@@ -28,7 +30,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
     """Checks that all outputs can be written, and to different files. Leaves nothing behind.
 
     Args:
-        outputs: paths of csv, picture, report, save, logs or figures; None if not requested.
+        outputs: paths of csv, picture, report, save, vehicle, logs or figures; None if not requested.
         read: input files, by any of their names.
         json: True if standard output is for one JSON object.
 
@@ -56,8 +58,9 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         else:
             _check_ending(path, what)
             check_file(path, what)
-            if what == "save" and not _is_own(path):
-                raise InputError(f"--save {path} exists and was not written by --save; give another name or remove it")
+            if what in ("save", "vehicle") and not _is_own(path):
+                option = f"--{OPTIONS.get(what, what)}"
+                raise InputError(f"{option} {path} exists and was not written by {option}; give another name or remove it")
         if what == "picture":
             FEATURES.load("pictures").check_drawing()
         elif what == "figures" and path.is_dir():

@@ -114,6 +114,9 @@ class VehicleFile(Section):
     parts: Annotated[Entries, AnyTable("force elements of suspensions by name")] = field(default_factory=dict)
     start: Annotated[Entries, AnyTable("state at the start of runs, for drops and releases")] = field(default_factory=dict)
     seat: Annotated[Entries, AnyTable("a person on a seat above the body")] | None = None
+    identified: Annotated[Entries, AnyTable("intervals of parameters, as roadproof identify writes them")] = field(
+        default_factory=dict
+    )
     plane: Annotated[str, Text("plane in which a half-car moves, below its type: pitch (default) or roll")] = ""
 
 

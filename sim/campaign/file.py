@@ -25,8 +25,9 @@ from models.roads.rig import Rig
 from models.vehicle.names import ROAD_KINDS
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign import MOST_RUNS
-from sim.campaign.samples import Values, read_samples, with_sample
+from sim.campaign.samples import Values, read_samples
 from sim.runs.run import sample_times
+from sim.runs.sampled_vehicle import with_sample
 
 SETTLE = 5.0  # s; by then a mode of 0.5 rad/s has 99 % of its variance
 Texts = tuple[str, ...]

@@ -17,8 +17,9 @@ from models.roads.choice import RoadChoice
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
-from sim.campaign.samples import Values, with_sample
+from sim.campaign.samples import Values
 from sim.drive.loop import runs_at_once
+from sim.runs.sampled_vehicle import with_sample
 from synth.controller.controller import AnyController
 
 LOST_TIME = 5.0  # s of a worker's time in a batch, about: what an interruption may lose

@@ -12,18 +12,16 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from models.characteristics.adjustable_range import CURVE_KEYS
 from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names, short_repr
 from models.common.schema import MOST_SEED, SI, AnyTable, Choice, Integer, Section, read
-from models.parts.part import SettablePart
 from models.vehicle.vehicle import Vehicle
 from sim.campaign import MOST_RUNS
 from sim.campaign.law_keys import drawn_entry, law_values
+from sim.runs.sampled_vehicle import damper_numbers, with_sample
 
 METHODS = ("latin_hypercube", "sobol")
 DISTRIBUTIONS = ("uniform", "normal")
-OF_DAMPERS = (*CURVE_KEYS, "bandwidth")  # of [actuators], which are sampled, too
 WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 
 Values = Mapping[str, float]  # drawn, by name
@@ -131,7 +129,7 @@ def _vehicle_samples(table: Mapping[str, Any], name: str, vehicle: Vehicle, samp
     """Returns the sampled parameters of a vehicle."""
     parameters = {parameter.name: parameter for parameter in vehicle.kind.parameters}
     elements = {key: one for element in vehicle.elements for key, one in element.numbers.items()}
-    own = {**vehicle.parameters, **{damper: value for damper, (value, _) in _of_dampers(vehicle).items()}}
+    own = {**vehicle.parameters, **{damper: value for damper, (value, _) in damper_numbers(vehicle).items()}}
     own |= {key: value for key, (value, _) in elements.items()}
 
     def check(key: str, value: float) -> None:
@@ -181,32 +179,3 @@ def _distribution(where: str, name: str, entry: Any, unit: str) -> tuple[bool, t
     if shapes[0] == "uniform":
         return relative, (a, b), stats.uniform(a, b - a).ppf
     return relative, (a - WIDEST * b, a + WIDEST * b), stats.truncnorm(-WIDEST, WIDEST, a, b).ppf
-
-
-def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """Maps each sampled damper parameter to its value and forces: an entry per damper with a number, and one for all if equal."""
-    quantities: dict[str, tuple[float, list[str]]] = {}
-    for name in OF_DAMPERS:
-        # A limit that is a curve is no number.
-        own = [one for one in vehicle.parts.adjustable if one.damper.replaces]
-        curved = {one for one in own if name in CURVE_KEYS and one.damper.pair is not None}
-        values: dict[SettablePart, Any] = {one: None if one in curved else getattr(one.damper, name) for one in own}
-        if len(set(values.values())) == 1:
-            quantities[name] = (next(iter(values.values())), [one.force for one in values])
-        quantities |= {f"{name}{one.ending}": (value, [one.force]) for one, value in values.items() if one.ending}
-    return {name: (value, forces) for name, (value, forces) in quantities.items() if value is not None}
-
-
-def with_sample(vehicle: Vehicle, sample: Values) -> Vehicle:
-    """The vehicle with sampled parameters, and numbers of its adjustable dampers."""
-    if not sample:
-        return vehicle
-    known, dampers = _of_dampers(vehicle), dict(vehicle.dampers)
-    endings = {one.force: one.ending for one in vehicle.parts.adjustable}
-    for name in (one for one in known if one in sample):
-        for force in known[name][1]:
-            dampers[force] = replace(dampers[force], **{name.removesuffix(endings[force]): sample[name]})
-    elements = tuple(one.sampled(sample) for one in vehicle.elements)
-    dampers = {force: damper.among(elements) for force, damper in dampers.items()}
-    parameters = {name: value for name, value in sample.items() if name in vehicle.parameters}
-    return vehicle.altered(parameters, dampers=dampers, elements=elements)

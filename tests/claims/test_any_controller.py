@@ -137,7 +137,7 @@ def takes(command: str, name: str, arguments: list[str]) -> None:
 
 def test_no_command_is_forgotten():
     """All but those that take no controller are held below."""
-    assert {*QUICK, *LONG, "sim.campaign", "sim.gallery", "sim.inspect", "sim.new", "sim recommend"} == {
+    assert {*QUICK, *LONG, "sim.campaign", "sim.gallery", "sim.identify", "sim.inspect", "sim.new", "sim recommend"} == {
         name for name, _, _ in COMMANDS
     }
 

@@ -5,7 +5,13 @@ assert found.code == 0 and found.json["runs"]
 assert golden("sim.bump", "plain", form="").out.endswith("energy balances\n")  # the same as text
 """
 
+from dataclasses import replace
+
+import numpy as np
+
 from models.vehicle.vehicle import read_vehicle
+from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.prediction import LogPrediction
 from tests.support.pages import site
 from tests.support.shared import Printed, printed
 
@@ -22,7 +28,22 @@ timestep = 5e-3
 """
 VEHICLE = read_vehicle("quarter_car")
 LOG = "time [s];sprung_acceleration [g]\n" + "".join(f"{0.01 * i:.2f};{i % 5}\n" for i in range(21))
-FILES = {"log.csv": LOG, "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
+
+
+def rig_log() -> str:
+    """Returns a log of the vehicle over a chirp, with noise, for `sim.identify`."""
+    time, random = 0.01 * np.arange(400), np.random.default_rng(0)
+    road = 2e-3 * np.sin(2 * np.pi * time * (0.5 + 2 * time))
+    vehicle = replace(VEHICLE, kind=VEHICLE.kind.naming({*VEHICLE.kind.possible}))
+    empty = Experiment("rig", 0.01, road[:, None], np.zeros((400, 1)), (Channel("suspension_deflection", road),), from_rest=True)
+    exact = LogPrediction(empty, lambda _: vehicle)({}, {}, None, [0.0], False).values[:, 0]
+    rows = zip(time, road, exact + 2e-4 * random.standard_normal(400), strict=True)
+    return "time [s];road_displacement [m];suspension_deflection [m]\n" + "".join(
+        f"{t:.2f};{z:.7f};{d:.6f}\n" for t, z, d in rows
+    )
+
+
+FILES = {"log.csv": LOG, "rig.csv": rig_log(), "campaign.toml": CAMPAIGN, "quarter_car.toml": f"{VEHICLE.text}\n{REALITY}"}
 LIMITS, DAMPER = ("--vehicle", "quarter_car.toml"), ("--vehicle", "quarter_car_semi_active", "--controller", "skyhook")
 ONE, STEP = ("--controller", "I"), ("--timestep", "0.005")
 PAIR = ("--controller", "passive", *ONE)
@@ -55,6 +76,7 @@ CASES = {  # the cases of each command: their names and options
     "sim.campaign": {"plain": ("campaign.toml",)},
     "sim.inspect": {"plain": ("LOG",)},
     "sim.gallery": {"plain": ("textbook",)},
+    "sim.identify": {"plain": ("rig.csv", "--fix", "sprung_mass"), "columns": ("rig.csv", "--columns")},
     "sim.report": {"plain": QUICK, "limits": (*PAIR, *QUICK, *LIMITS)},
 }
 

@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response, worst_sinusoid
 from sim.studies.frequency.figure import drawn_line
-from sim.studies.frequency.identification import identify
+from sim.studies.frequency.identification import measure_responses
 from sim.studies.frequency.report import describe
 from sim.studies.frequency.sinusoids import drive_periodic, settled_sinusoid, whole_periods
 from sim.studies.frequency.sweep import failures, holds, sweep
@@ -67,7 +67,7 @@ def test_claims(some):
 
 def test_order(paper, designer, some):
     """The response tends to the paper's continuous one with the step where a force is held, passive with its square."""
-    fine = identify(paper, [designer.design(name) for name in ("passive", "I")], 1e-4, STEP / 2, 12.5)
+    fine = measure_responses(paper, [designer.design(name) for name in ("passive", "I")], 1e-4, STEP / 2, 12.5)
     for one, expected in zip(fine, (2, 1), strict=True):
         coarse = next(other.lines for other in some if other.lines.controller.name == one.controller.name)
         measured = [lines.error(lines.continuous).max() for lines in (coarse, one)]
@@ -185,7 +185,7 @@ def test_a_step_that_is_too_coarse_is_named(paper, designer):
 def test_cars(name):
     """The lines of vehicles with several axles agree as well, in every signal, the rear wheels being late."""
     vehicle = read_vehicle(name)
-    (one,) = identify(vehicle, [Designer(vehicle).design("passive")], 1e-4, 4e-3, 12.5)
+    (one,) = measure_responses(vehicle, [Designer(vehicle).design("passive")], 1e-4, 4e-3, 12.5)
     assert one.error(one.sampled).max() < 4e-3  # RK4 at 4 ms: 256 times its 1.1e-5 of 1 ms
     assert one.error(one.integrated).max() < 1e-6  # which is known: turning and free motion make 2e-9 of the rest
     half = sampled_frequency_response(vehicle, one.controller, one.omega, 4e-3)
@@ -199,7 +199,7 @@ HOW = [Implementation(sample_period=8e-3, delay=0.5), Implementation(delay=3), I
 def test_implemented(paper, designer, implementation):
     """So does a controller that computes for a while, samples less often, or both, through a slow actuator."""
     vehicle = dataclasses.replace(paper, implementation=implementation, limits=Limits(actuator_bandwidth=100.0))
-    (one,) = identify(vehicle, [designer.design("II")], 1e-4, STEP, 12.5)
+    (one,) = measure_responses(vehicle, [designer.design("II")], 1e-4, STEP, 12.5)
     assert one.error(one.sampled).max() < 1e-4  # as above
 
 
@@ -240,7 +240,7 @@ def test_multisine():
 def test_amplitude(paper, designer):
     """At an amplitude that meets a limit the response leaves the line, that is named, and it is no disagreement."""
     vehicle = dataclasses.replace(paper, limits=Limits(actuator_force=200.0))
-    (one,) = identify(vehicle, [designer.design("I")], 0.05, STEP, 12.5)
+    (one,) = measure_responses(vehicle, [designer.design("I")], 0.05, STEP, 12.5)
     assert "force saturation" in one.ended
     assert one.error(one.sampled).max() > 0.1  # it asks for 500 N
 

@@ -72,11 +72,12 @@ ROOMS = {
     "sim.command": "models models.document models.vehicle models.roads synth.controller synth.vehicle sim.drive sim.runs "
     "sim.recording sim.studies",
     "sim.bump": "models.vehicle models.roads sim.command",
-    "sim.campaign": "models.document models.laws models.characteristics models.kinds models.parts models.vehicle models.roads "
-    "synth.plant synth.controller synth.vehicle sim.drive sim.observers sim.runs sim.studies sim.command",
+    "sim.campaign": "models.document models.laws models.kinds models.vehicle models.roads synth.plant "
+    "synth.controller synth.vehicle sim.drive sim.observers sim.runs sim.studies sim.command",
     DRIVE: "models.vehicle sim.command",
     "sim.envelope": "sim.command",
     "sim.gallery": "sim.command",
+    "sim.identify": "sim.command",
     "sim.inspect": "models.document models.laws models.kinds models.vehicle models.roads synth.analysis synth.controller "
     "sim.drive sim.linear sim.observers sim.runs sim.recording sim.studies",
     "sim.margins": "sim.command",
@@ -165,6 +166,7 @@ OWNERS = {
     "cloudpickle": {"models/kinds/kind.py", "models/laws/python_runtime.py"},
     "filelock": {"sim/campaign/manifest.py"},
     "pyarrow": {
+        "models/common/table.py",
         "sim/campaign/columns.py",
         "sim/campaign/store.py",
         "sim/campaign/verify.py",

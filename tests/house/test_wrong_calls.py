@@ -191,8 +191,8 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "sample_times": (sim.sample_times, {"vehicle": vehicle, "duration": 0.1, "timestep": 1e-3}),
         "run": (sim.run, {"vehicle": vehicle, "controllers": [passive], "road": road, "duration": 0.05, "timestep": 1e-3}),
         "measure_run": (sim.measure_run, {"run": driven, "first": 0}),
-        "identify": (
-            sim.identify,
+        "measure_responses": (
+            sim.measure_responses,
             {"vehicle": vehicle, "controllers": [controller], "amplitude": 1e-3, "timestep": 4e-3, "speed": 12.5},
         ),
         "find_margins": (sim.find_margins, {**of_vehicle, "timestep": 1e-3, "progress": print}),

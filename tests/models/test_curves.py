@@ -24,7 +24,7 @@ from sim.inspect.findings import different
 from sim.linear.nonlinear_elements import at_rest, at_rest_words
 from sim.runs.report import RUN, reasons, verdict
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.frequency.identification import identify
+from sim.studies.frequency.identification import measure_responses
 from synth.controller.report import OF, ideal_lines
 from synth.vehicle.designer import design
 from tests.support.analysed import simulate
@@ -381,7 +381,7 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     off, near = (
         float(one.error(one.sampled).max())
         for vehicle in (rough, at_rest(rough))
-        for one in identify(vehicle, controller, 1e-4, 4e-3, 12.5)
+        for one in measure_responses(vehicle, controller, 1e-4, 4e-3, 12.5)
     )
     assert off > 0.1  # friction holds the suspension over 0.1 mm: measured 1.0
     assert near < 1e-3  # RK4's at 4 ms: measured 5e-4

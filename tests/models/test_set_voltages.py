@@ -13,9 +13,9 @@ from models.parts.settable import SetElement
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim import run
-from sim.campaign.samples import with_sample
 from sim.linear.dampers import closing_velocities
 from sim.linear.stepped import stepped_runs
+from sim.runs.sampled_vehicle import with_sample
 from synth.controller.controller import Controller
 from synth.vehicle.designer import driver_of
 from tests.support.analysed import simulate_inputs as simulate

@@ -15,7 +15,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.limits_and_implementation import read_limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main
-from sim.campaign.samples import with_sample
+from sim.runs.sampled_vehicle import with_sample
 from synth.vehicle.multi_objective import family_of
 from tests.support.commands import prose, refused
 

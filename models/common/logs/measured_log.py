@@ -60,7 +60,7 @@ class MeasuredLog:
 def read_measured_log(
     path: Path, units: Mapping[str, str], rate: float | None = None, columns: Mapping[str, str] = {}
 ) -> MeasuredLog:
-    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat or .xlsx.
+    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat, .xlsx or .parquet.
 
     Times count from the first sample if they are times of day, or follow from the rate.
 
@@ -94,7 +94,7 @@ def read_measured_log(
         headings = table.headings({*units.values(), "s"}, alike=True)
         # The heading t_s is not a unit t/s.
         headings = [one if one.name or not one.text else heading_of(one.text, ("s",), one.column) for one in headings]
-        clocks = [one for one in headings if _is_time(one)]
+        clocks = [one for one in headings if is_time(one)]
         clocks = [one for one in clocks if one.quantity == "time"] or clocks
         if rate is None and not clocks:
             found = first_few([short_repr(one.text) for one in headings if one.text], 8)
@@ -127,13 +127,13 @@ def read_measured_log(
         return MeasuredLog(str(path), time[new], signals, tuple(remarks))
 
 
-def _is_time(heading: Heading) -> bool:
+def is_time(heading: Heading) -> bool:
     """Returns True for a column of times; LabVIEW calls one X_Value."""
     named = "time" in {NAMES.get(word) for word in heading.words} or heading.name.lower() == "x_value"
     return named and (not heading.unit or unit_size(heading.unit, "s") is not None)
 
 
-def _key(text: str) -> frozenset[str]:
+def name_key(text: str) -> frozenset[str]:
     """Returns the words of a name in any order and case, as of `FrontLeftTravel` and `travel FL`."""
     words: list[str] = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
     return frozenset(part for word in words for part in CORNERS.get(word, word).split("_"))
@@ -148,8 +148,8 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
     used = dict[str, Heading]()
     for name, unit in units.items():
         given = heading_of(columns[name], (unit,)) if name in columns else Heading(name, name)
-        keys = {_key(given.name), _key(given.text)}
-        ones = [one for one in headings if {_key(one.name), _key(one.text)} & keys]
+        keys = {name_key(given.name), name_key(given.text)}
+        ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
         if name in columns:  # other brackets belong to the name
             known = [[one for one in (each.unit, given.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]

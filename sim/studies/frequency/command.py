@@ -85,14 +85,14 @@ examples:
     def run(self, request: StudyRequest, progress: Progress) -> Responses:
         from sim.linear.nonlinear_elements import at_rest
         from sim.studies.frequency.describing_function import describing_function
-        from sim.studies.frequency.identification import identify
+        from sim.studies.frequency.identification import measure_responses
         from sim.studies.frequency.sweep import OWN, sweep
 
         vehicle, options = request.vehicle, request.options
         how = options.amplitude, options.timestep, options.speed
         linear = [one for one in request.controllers if one.linear is True]
         if getattr(options, "lines_alone", False):
-            return Responses(identify(at_rest(vehicle), linear, *how) if linear else [], [], [])
+            return Responses(measure_responses(at_rest(vehicle), linear, *how) if linear else [], [], [])
         sweeps = sweep(vehicle, linear, *how, progress) if linear else []
         progress(OWN)
         own = [describing_function(vehicle, one, *how) for one in request.controllers if not one.linear]

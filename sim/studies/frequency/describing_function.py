@@ -72,7 +72,7 @@ def describing_function(
 ) -> DescribingFunction:
     """Drives a controller over one sinusoid after another, three periods of the lowest each, of which the first is for settling.
 
-    Arguments and errors as for `sim.studies.frequency.identification.identify`; and the law may fail.
+    Arguments and errors as for `sim.studies.frequency.identification.measure_responses`; and the law may fail.
     """
     check(vehicle, (), amplitude, timestep)
     without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)

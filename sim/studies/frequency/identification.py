@@ -167,7 +167,9 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle.starting(), implementation=vehicle.implementation.without_noise)
 
 
-def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed) -> list[Lines]:
+def measure_responses(
+    vehicle: Vehicle, controllers: Controllers, amplitude: Length, timestep: Time, speed: PositiveSpeed
+) -> list[Lines]:
     """Returns the frequency responses of controllers in MuJoCo, each from the last period of a repeated chirp.
 
     Args:
@@ -180,10 +182,10 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: Length, time
 
     Example:
         >>> from models import read_vehicle
-        >>> from sim import identify
+        >>> from sim import measure_responses
         >>> from synth import design_controllers
         >>> vehicle = read_vehicle("quarter_car")
-        >>> [lines] = identify(vehicle, design_controllers(vehicle, ["I"]), amplitude=1e-3, timestep=4e-3, speed=12.5)
+        >>> [lines] = measure_responses(vehicle, design_controllers(vehicle, ["I"]), amplitude=1e-3, timestep=4e-3, speed=12.5)
         >>> lines.omega.shape
         (44,)
     """

@@ -16,7 +16,7 @@ from sim.runs.agreement import COARSEST, SLACK
 from sim.studies.frequency import describing_function, eusama
 from sim.studies.frequency.describing_function import DescribingFunction, describing_failures
 from sim.studies.frequency.eusama import MinimumLoad, load_failures, minimum_loads
-from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
+from sim.studies.frequency.identification import Lines, difference, ideal_measurements, measure_responses
 from sim.studies.frequency.worst_case_gain import Extremes, extremes
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
@@ -79,11 +79,11 @@ def sweep(
 ) -> list[Sweep]:
     """Returns the sweep of every controller. `progress` is called with each of two stages, `LINES` and `EXTREMES`.
 
-    Other arguments and errors as for `sim.studies.frequency.identification.identify`.
+    Other arguments and errors as for `sim.studies.frequency.identification.measure_responses`.
     """
     progress(LINES)
     near = at_rest(vehicle)
-    lines = identify(near, controllers, amplitude, timestep, speed)
+    lines = measure_responses(near, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(near, controllers, amplitude, timestep, speed)
     loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
@@ -91,7 +91,7 @@ def sweep(
     small: dict[str, Lines] = {}
     for share in (SMALLER, SMALLER**2) if near.parts.nonlinear or has_geometry(near) else ():
         if off and amplitude * share >= LEAST_AMPLITUDE:
-            small |= {line.controller.name: line for line in identify(near, off, amplitude * share, timestep, speed)}
+            small |= {line.controller.name: line for line in measure_responses(near, off, amplitude * share, timestep, speed)}
             off = [one for one in off if not _off(small[one.name])[0] <= _off(small[one.name])[1]]
     ideal = ideal_measurements(near)
     norms = [

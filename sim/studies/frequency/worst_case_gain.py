@@ -101,7 +101,7 @@ def extremes(
 ) -> list[Extremes]:
     """Drives every controller over a bump, a random road, its invariants' frequencies and its worst sinusoid.
 
-    Arguments and errors as for `sim.studies.frequency.identification.identify`.
+    Arguments and errors as for `sim.studies.frequency.identification.measure_responses`.
     """
     check(vehicle, controllers, amplitude, timestep)
     vehicle = ideal_measurements(vehicle)

@@ -1,0 +1,152 @@
+"""First maps of logs, guessed from the headings of their columns alone."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from models.common.errors import InputError
+from models.common.files import reading
+from models.common.logs.measured_log import GIVE, is_time, name_key
+from models.common.quantities import CORNERS, Heading, heading_of
+from models.common.table import find_table, table_text
+from models.common.toml_edit import toml_value
+from models.common.units import unit_size
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.log_map import LOGGED, UNKNOWN
+
+# Words of headings: of the quantity, then of the place. Words beyond these do not matter.
+ACCELERATION = frozenset(["acc", "accel", "acceleration", "accelerometer", "accz", "az", "zacc"])
+BODY, HUB = (
+    frozenset(["body", "sprung", "chassis", "mass", "seat", "frame"]),
+    frozenset(["hub", "unsprung", "wheel", "upright", "axle", "knuckle", "us"]),
+)
+TRAVEL = frozenset(["travel", "deflection", "stroke", "pot", "potentiometer", "lvdt", "damper", "shock", "suspension"])
+VELOCITY = frozenset(["vel", "velocity", "speed"])
+TYRE = frozenset(["tyre", "tire"])
+ROAD = frozenset(["road", "post", "platform", "table", "shaker", "actuator", "ground", "profile", "plate", "pad"])
+FORCE = frozenset(["force", "load", "loadcell"])
+WORDS: Mapping[str, tuple[frozenset[str], frozenset[str], frozenset[str]]] = {  # one of the first two, none of the third
+    "unsprung_acceleration": (ACCELERATION, HUB, frozenset()),
+    "sprung_acceleration": (ACCELERATION, frozenset(), HUB),
+    "unsprung_velocity": (VELOCITY, HUB, TRAVEL - {"suspension"}),
+    "sprung_velocity": (VELOCITY, BODY, HUB),
+    "suspension_deflection": (TRAVEL, frozenset(), VELOCITY | ACCELERATION | FORCE | ROAD | TYRE),
+    "road_displacement": (ROAD, frozenset(), VELOCITY | ACCELERATION | FORCE),
+    "control_force": (FORCE, frozenset(), HUB),
+}
+ENDS = frozenset(["front", "rear", "left", "right"])
+GUESSES = ("mm", "cm", "g", "deg", "rad")  # units that words of a heading may be
+NOTES = {"m": "mm", "m/s2": "g", "rad": "deg", "m/s": "mm/s", "N": "kN"}  # units that logs often have instead
+
+
+@dataclass(frozen=True)
+class ColumnGuess:
+    """Column that seems to be a signal.
+
+    Attributes:
+        signal: name of the signal.
+        column: heading for the map, with a unit.
+        warning: warning about the unit; empty for a unit that the heading gives.
+    """
+
+    signal: str
+    column: str
+    warning: str
+
+
+def _words(text: str) -> frozenset[str]:
+    parts: list[str] = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
+    return frozenset(piece for part in parts for piece in CORNERS.get(part, part).split("_"))
+
+
+def guess(heading: Heading, units: Mapping[str, str]) -> ColumnGuess | None:
+    """Returns the signal that a heading seems to name; None for a heading that names none, or has a unit of another quantity.
+
+    Args:
+        units: SI units of the vehicle's signals, by name.
+    """
+    words, same = _words(heading.text), {name_key(heading.name), name_key(heading.text)}
+    for signal, unit in units.items():
+        base = next((one for one in WORDS if signal.startswith(one)), "")
+        ends = frozenset(signal.removeprefix(base).split("_")) - {""} if base else None
+        some, places, none = WORDS.get(base, (frozenset[str](),) * 3)
+        like = bool(words & some) and (not places or bool(words & places)) and not words & none
+        if name_key(signal) not in same and not (like and ends == words & ENDS):
+            continue
+        if heading.unit:
+            if unit_size(heading.unit, unit) is None:
+                continue
+            return ColumnGuess(signal, heading.text, "")
+        word = next((one for one in GUESSES if one in words and unit_size(one, unit) is not None), "")
+        if word:
+            return ColumnGuess(signal, f"{heading.text} [{word}]", f"unit guessed from the heading; the signal is in {unit}")
+        often = f"; many logs have {NOTES[unit]}" if unit in NOTES else ""
+        return ColumnGuess(signal, f"{heading.text} [{unit}]", f"the heading has no unit: {unit} is assumed{often}")
+    return None
+
+
+def read_headings(path: Path, units: Mapping[str, str]) -> list[Heading]:
+    """Returns the headings of a log.
+
+    Raises:
+        InputError: the file is not a table with headings.
+    """
+    with reading(path, "measured log", GIVE):
+        table = find_table(table_text(path), GIVE)
+        headings = [one for one in table.headings({*units.values(), "s"}, alike=True) if one.text]
+        if not headings:
+            raise InputError(f"the file has no line of headings; {GIVE}")
+        return [one if one.name else heading_of(one.text, ("s",), one.column) for one in headings]
+
+
+def map_text(paths: Sequence[Path], vehicle: Vehicle) -> str:
+    """Returns a first map of logs: a section for each heading that names a signal, and other headings as comments.
+
+    Raises:
+        InputError: a file is not a table with headings, or is a log of `bump` or `drive`, which needs no map.
+    """
+    units = {name: one.unit for name, one in vehicle.kind.possible.items()}
+    sections, others, timed = dict[str, list[ColumnGuess]](), list[str](), True
+    for path in paths:
+        headings = read_headings(path, units)
+        clocks = [one for one in headings if is_time(one)][:1]
+        timed = timed and bool(clocks)
+        for heading in headings:
+            if heading in clocks:
+                continue
+            one = guess(heading, units)
+            if one is None:
+                others.append(f"{path.name}, column {heading.column}: {heading.text}")
+            elif one not in sections.setdefault(one.signal, []):
+                sections[one.signal].append(one)
+    return "\n".join(_lines(paths, sections, others, timed, units)) + "\n"
+
+
+def _lines(
+    paths: Sequence[Path], sections: Mapping[str, list[ColumnGuess]], others: list[str], timed: bool, units: Mapping[str, str]
+) -> Iterator[str]:
+    yield f"# First map of {', '.join(path.name for path in paths)}, guessed from the headings alone."
+    yield "# Check each signal, unit and sign. See docs/how-to/identify.md."
+    road, hub = (any(one.startswith(name) for one in sections) for name in ("road_displacement", "unsprung_acceleration"))
+    if road or not hub:
+        yield f'road = {toml_value(LOGGED)}       # or "flat", "unknown", or a road such as "bump:height=0.05" with a speed'
+        if not road:
+            yield "# No heading names the height of the road: add [signals.road_displacement], or change road."
+    else:
+        yield f"road = {toml_value(UNKNOWN)}      # no heading names the road: the acceleration of the hub drives the body"
+    yield 'start = "estimated"   # or "rest"'
+    if not timed:
+        yield "rate = 100.0          # samples per second, to be corrected: no heading names the time"
+    for signal, guesses in sections.items():
+        yield ""
+        yield f"[signals.{signal}]  # {units[signal]}"
+        for i, one in enumerate(guesses):
+            warning = f"  # {one.warning}" if one.warning else ""
+            yield f"{'# or: ' * bool(i)}column = {toml_value(one.column)}{warning}"
+        yield "# sign = -1           # if the sensor counts the other direction as positive"
+        yield '# delay = "10 ms"     # or "estimate"'
+    if others:
+        yield ""
+        yield "# Columns that are not used:"
+        yield from (f"# {one}" for one in others)

@@ -1,0 +1,275 @@
+"""Causes of a misfit by name: a delay, a factor, a sign, friction, a tyre's damping, lift-off, a resonance.
+
+A cause moves the predicted signals in a known direction g. The size of the cause is the least-squares coefficient of the
+residuals on the part of g that the unknowns do not explain. Its share is that of the residuals' squares which it explains.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array, recursion
+from models.common.errors import InputError
+from models.common.printed import brief
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.estimate import Estimate, IdentificationProblem
+from sim.studies.identification.experiment import Channel
+from sim.studies.identification.prediction import LogPrediction, continuous_model
+from sim.studies.identification.whiteness import autoregressive
+
+FACTORS: Mapping[float, str] = {
+    1000.0: "in thousandths of its unit, such as mm",
+    0.001: "in thousands of its unit, such as km",
+    1 / 9.80665: "in g instead of m/s2",
+    9.80665: "in m/s2 although its unit says g",
+    57.29577951308232: "in degrees",
+    39.37007874015748: "in inches",
+    100.0: "in hundredths of its unit, such as cm",
+}
+NEAR = 0.2  # relative: a factor this near to one of these has a name
+ALIKE = 0.8  # correlation from which a column is a signal but for its factor
+EXPLAINED = 0.03  # share of the squares from which a cause is named
+SURE = 5.0  # standard deviations from which it is
+LAGS = 25  # samples up to which a delay is looked for
+MOST_CAUSES = 3
+LEFT = 0.01  # share of a cause's squares that the unknowns must not explain: else its size is not known
+MOST_SAMPLES = 50_000  # of an experiment whose residuals are searched for causes
+SHARP = 0.9  # magnitude of a pole of the residuals' model that is a resonance
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of a misfit.
+
+    Attributes:
+        words: the cause and its size.
+        share: share of the squares of all residuals that it explains.
+        deviations: size in standard deviations.
+    """
+
+    words: str
+    share: float
+    deviations: float
+
+
+FULL = 0.01  # of the largest speed: below it friction is a straight line, so that noise has none
+
+
+def check_columns(problem: IdentificationProblem) -> list[str]:
+    """Compares the columns with the first vehicle before anything is fitted; returns remarks.
+
+    Raises:
+        InputError: a column is a signal with another unit, or with the opposite sign.
+    """
+    remarks = list[str]()
+    for one, prediction in zip(problem.experiments, problem.predictions, strict=True):
+        start = None if one.from_rest else np.zeros(len(prediction.states(problem.first)))
+        delays = [channel.delay for channel in one.channels]
+        predicted = prediction(problem.first, {}, start, delays, False).values
+        correlations = np.array([[_correlation(channel.values, column) for column in predicted.T] for channel in one.channels])
+        units = [problem.vehicle.kind.possible[channel.signal].unit for channel in one.channels]
+        for i, channel in enumerate(one.channels):
+            own, both = correlations[i, i], channel.counted & np.isfinite(predicted[:, i])
+            ratio = float(channel.values[both].std() / max(predicted[both, i].std(), 1e-300)) if both.any() else 1.0
+            named = next((words for factor, words in FACTORS.items() if abs(ratio / factor - 1) < NEAR), "")
+            if own > ALIKE and named:
+                raise InputError(
+                    f"{one.name}: {channel.signal} is {ratio:.4g} times what this vehicle would do; the column seems to be "
+                    f"{named}: write its unit in the map"
+                )
+            if own < -ALIKE:
+                raise InputError(
+                    f"{one.name}: {channel.signal} has the opposite sign of what this vehicle would do (correlation {own:.2f}); "
+                    f"write sign = -1 below [signals.{channel.signal}] in the map"
+                )
+            others = [j for j in range(len(units)) if j != i and units[j] == units[i]]
+            for j in others:
+                if j > i and min(correlations[i, j], correlations[j, i]) > max(ALIKE, own + 0.1, correlations[j, j] + 0.1):
+                    remarks.append(f"{one.name}: the columns of {channel.signal} and {one.channels[j].signal} seem to be swapped")
+    return remarks
+
+
+def _correlation(a: Array, b: Array) -> float:
+    both = np.isfinite(a) & np.isfinite(b)
+    if both.sum() < 3 or not a[both].std() or not b[both].std():
+        return 0.0
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def causes(of: Estimate) -> tuple[Cause, ...]:
+    """Returns the causes that the residuals contain, the largest first; those of white residuals are none."""
+    if of.white:
+        return ()
+    residuals = of.residuals.residuals(of.x, of.noise, MOST_SAMPLES)
+    J = of.residuals.jacobian(of.x, of.noise, MOST_SAMPLES)
+    explained = np.linalg.qr(J).Q
+    own = residuals - explained @ (explained.T @ residuals)
+    total, listed = float(own @ own), list[Cause]()
+    directions = list(_directions(of))
+    while directions and len(listed) < MOST_CAUSES:
+        each = list[tuple[float, float, int, Array]]()
+        for i, (_, direction) in enumerate(directions):
+            g = direction - explained @ (explained.T @ direction)
+            size = float(g @ g)
+            if size > LEFT * float(direction @ direction):
+                coefficient = -float(g @ own) / size
+                each.append((coefficient**2 * size, coefficient, i, g))
+        if not each:
+            break
+        squares, coefficient, i, g = max(each, key=lambda one: one[0])
+        words, _ = directions.pop(i)
+        left = max(float(own @ own) - squares, 1e-300)
+        deviations = float(np.sqrt(squares * len(own) / left))
+        if squares < EXPLAINED * total or deviations < SURE:
+            break
+        listed.append(Cause(words(coefficient), squares / total, deviations))
+        own = own + coefficient * g
+        explained = np.column_stack([explained, g / np.linalg.norm(g)])
+    return tuple(listed)
+
+
+def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
+    """Yields causes, in words of their size, and how they move all residuals."""
+    experiments, problem = of.problem.experiments, of.problem
+    for signal in problem.signals:
+        late = [np.zeros_like(one) for one in of.predicted]
+        gains = [np.zeros_like(one) for one in of.predicted]
+        lag = _lag(of, signal)
+        for k, (one, predicted) in enumerate(zip(experiments, of.predicted, strict=True)):
+            if signal in one.signals:
+                i = one.signals.index(signal)
+                values = np.nan_to_num(predicted[:, i])
+                late[k][:, i] = np.interp(one.time - lag, one.time, values) - values
+                gains[k][:, i] = values - values.mean()
+        if signal not in problem.delayed and lag:
+            yield (
+                partial(
+                    "{} is {} ms {} than in the map".format, signal, brief(1e3 * abs(lag)), "later" if lag > 0 else "earlier"
+                ),
+                _weighted(of, late),
+            )
+        yield partial(_gain_words, signal), _weighted(of, gains)
+    vehicles = [one.vehicle(of.values) for one in problem.predictions]
+    for place in vehicles[0].kind.suspensions:
+        pushed = [_friction(one, vehicle, place.force) for one, vehicle in zip(problem.predictions, vehicles, strict=True)]
+        yield (
+            partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}"),
+            _weighted(of, pushed),
+        )
+    parameters = {one.name for one in problem.vehicle.kind.parameters}
+    for name in sorted(one for one in parameters if one.startswith("tyre_damping")):
+        if name not in of.free and not problem.vehicle.parts.nonlinear:
+            words = f"{name} of {{}} N s/m more than in the file"
+            yield partial(_size_words, words), _weighted(of, _by_parameter(of, name))
+
+
+def _size_words(words: str, coefficient: float) -> str:
+    return words.format(brief(coefficient))
+
+
+def _gain_words(signal: str, coefficient: float) -> str:
+    factor = 1 + coefficient
+    named = next((f": it seems to be {words}" for one, words in FACTORS.items() if abs(factor / one - 1) < NEAR), "")
+    return f"{signal} as {brief(factor)} times what its unit says{named}"
+
+
+def _lag(of: Estimate, signal: str) -> float:
+    """Returns the delay of a measured signal behind the predicted one with the largest correlation [s], by a parabola."""
+    total, step = np.zeros(2 * LAGS + 1), of.problem.experiments[0].step
+    for one, predicted in zip(of.problem.experiments, of.predicted, strict=True):
+        if signal not in one.signals or one.step != step or len(predicted) <= 4 * LAGS:
+            continue
+        i = one.signals.index(signal)
+        measured = one.channels[i].values
+        m, p = (np.nan_to_num(values - np.nanmean(values)) for values in (measured, predicted[:, i]))
+        inner = slice(LAGS, len(m) - LAGS)
+        total += [float(m[inner] @ p[LAGS - k : len(p) - LAGS - k]) for k in range(-LAGS, LAGS + 1)]
+    k = int(np.argmax(total))
+    if not 0 < k < 2 * LAGS:
+        return 0.0
+    before, here, after = total[k - 1 : k + 2]
+    return step * (k - LAGS + 0.5 * (before - after) / min(before - 2 * here + after, -1e-300))
+
+
+def _weighted(of: Estimate, moved: list[Array]) -> Array:
+    rows = []
+    for one, each, difference in zip(of.problem.experiments, moved, of.differences, strict=True):
+        for name, values, left in zip(one.signals, each[:MOST_SAMPLES].T, difference[:MOST_SAMPLES].T, strict=True):
+            rows.append(np.nan_to_num(values[np.isfinite(left)]) / of.noise[name])
+    return np.concatenate([*rows, np.zeros(len(of.problem.known))])
+
+
+def _friction(prediction: LogPrediction, vehicle: Vehicle, force: str) -> Array:
+    """Returns the signals under 1 N of friction in a suspension, shape (T, q)."""
+    one, model = prediction.experiment, vehicle.linear_model
+    deflection = vehicle.kind.deflection_of(force)
+    from dataclasses import replace
+
+    from sim.studies.identification.experiment import Channel
+
+    alone = LogPrediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
+    travel = alone({}, {}, None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
+    speed = np.gradient(travel, one.step)
+    # The force pulls the ends together as they move apart.
+    pull = np.clip(speed / max(FULL * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
+    A, Bv, _, C, Dv, _ = continuous_model(vehicle, one)
+    column = one.road.shape[1] + model.inputs.index(force)
+    n = len(A)
+    M = np.zeros((n + 1, n + 1))
+    M[:n, :n], M[:n, n] = A, Bv[:, column]
+    whole = linalg.expm(M * one.step)
+    x = recursion(whole[:n, :n], np.outer(-pull, whole[:n, n]))
+    return x @ C.T + np.outer(-pull, Dv[:, column])
+
+
+def _by_parameter(of: Estimate, name: str) -> list[Array]:
+    """Returns the derivative of all signals by a parameter that may be zero."""
+    value = of.problem.vehicle.parameters.get(name, 0.0)
+    step, each = max(1.0, 1e-3 * value), list[Array]()
+    for i, one in enumerate(of.problem.predictions):
+        start, _ = of.residuals.unknowns.of_experiment(i)
+        first = of.x[start] if of.residuals.unknowns.starts[i] else None
+        delays = of.residuals.delays(of.x, one.experiment)
+        moved = [one({**of.values, name: value + more}, {}, first, delays, False).values for more in (step, 0.0)]
+        each.append((moved[0] - moved[1]) / step)
+    return each
+
+
+def resonances(of: Estimate) -> list[str]:
+    """Returns remarks on resonances that the residuals of a signal contain."""
+    remarks = list[str]()
+    for one, difference, tests in zip(of.problem.experiments, of.differences, of.whiteness, strict=True):
+        for i, name in enumerate(one.signals):
+            if tests[name].white:
+                continue
+            poles = np.roots(autoregressive(difference[:, i] / of.noise[name]).coefficients)
+            for pole in sorted(poles, key=lambda pole: -abs(pole))[:1]:
+                frequency = abs(float(np.angle(pole))) / (2 * np.pi * one.step)
+                if abs(pole) > SHARP and 0.05 < frequency * one.step < 0.45:
+                    remarks.append(f"the residuals of {name} oscillate at {brief(frequency)} Hz, which the vehicle does not")
+    return remarks
+
+
+def airborne(of: Estimate) -> list[tuple[int, Array]]:
+    """Returns the experiments in which a wheel leaves the road, by number, with True for the samples in the air."""
+    each = list[tuple[int, Array]]()
+    for i, one in enumerate(of.problem.predictions):
+        if one.experiment.hubs:
+            continue
+        vehicle = one.vehicle(of.values)
+        limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+        names = [name for name in limits if name in vehicle.linear_model.outputs]
+        channels = tuple(Channel(name, np.zeros(len(one.experiment.road))) for name in names)
+        alone = LogPrediction(replace(one.experiment, channels=channels), lambda _, vehicle=vehicle: vehicle)
+        start, _ = of.residuals.unknowns.of_experiment(i)
+        first = of.x[start] if of.residuals.unknowns.starts[i] else None
+        if first is not None and not len(first):
+            first = None
+        values = alone({}, {}, first, [0.0] * len(names), False).values
+        air = np.asarray((values > [abs(limits[name]) for name in names]).any(axis=1))
+        if air.any():
+            each.append((i, air))
+    return each

@@ -1,0 +1,649 @@
+"""Maximum likelihood of a vehicle's parameters, with intervals, and the directions that the logs do not determine.
+
+The residuals of each sensor are divided by the rms of its noise. This rms is given, or is that of the residuals, estimated
+alternately with the parameters. Unknown are the logarithms of the free parameters, the delays of sensors, the state at the start
+of each experiment and the offsets. `scipy.optimize.least_squares` finds their least squares.
+
+Directions. J contains the derivatives of all residuals, and J'J is the information matrix. The part of J that belongs to the
+parameters, without what all other unknowns explain, has the singular values s and directions V of logarithms. A direction with
+s = 0 moves no signal. The motion of a quarter-car has one: all masses, stiffnesses and dampings times one number. Then as many
+parameters as there are such directions keep their first values. What the logs determine are products of powers: of each other
+parameter with these.
+
+Intervals. The covariance of the logarithms is (J'J)^-1. If the residuals of a sensor are coloured, this is too small. Then it is
+(J'J)^-1 J'RJ (J'J)^-1 with the autocovariance R of an autoregressive model of each sensor's residuals.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, list_names
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.prediction import LogPrediction, PredictedSignals
+from sim.studies.identification.whiteness import Whiteness, autoregressive, whiteness
+
+NORMAL = 1.959963984540054  # half-width of a 95 % interval in standard deviations
+CHI2 = NORMAL**2  # rise of -2 log likelihood at its ends
+SINGULAR = 1e-7  # singular value over the largest one, below which a direction moves no signal: matrices are known to 1e-10
+WIDE = 1.0  # standard deviation of a logarithm above which a parameter is not determined in practice: a factor of 7 each way
+SETTLED = 1e-4  # relative change of noise at which it is settled
+ROUNDS = 30  # of noise and parameters by turns
+SPREAD = 1.2  # of the logarithms of further starts: a factor of 3
+STARTS = 6
+FAR = 100.0  # deviance above that of a solution, from which a start does not lead to an equal one
+FURTHEST = 9.0  # change of a logarithm, beyond which a parameter does not move: a factor of 8000
+TOLERANCES: Any = {"method": "trf", "x_scale": "jac", "ftol": 1e-10, "xtol": 1e-9, "gtol": 1e-12}
+BLOCK = 50_000  # samples whose derivatives are in memory together
+MOST, FEW = 60, 10  # evaluations of a search, and of one from a further start
+POOR = 0.5  # share of a signal's mean square that a fit explains, below which other starts are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A combination of parameters that is known from elsewhere: a corner weight, or a weighed mass.
+
+    Attributes:
+        name: name for reports.
+        of: the quantity of a vehicle's parameters [SI].
+        value: measured value.
+        deviation: standard deviation of the value.
+    """
+
+    name: str
+    of: Callable[[Vehicle], float]
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationProblem:
+    """Parameters to identify, and the experiments that measured them.
+
+    Attributes:
+        vehicle: vehicle with the first values of its parameters.
+        change: the vehicle with other values of some parameters.
+        first: first values of all free parameters, above 0, by name.
+        from_zero: names of those that may be zero; others have logarithms.
+        experiments: the experiments.
+        known: combinations that are known from elsewhere.
+    """
+
+    vehicle: Vehicle
+    change: Callable[[Vehicle, Mapping[str, float]], Vehicle]
+    first: Mapping[str, float]
+    experiments: tuple[Experiment, ...]
+    known: tuple[Known, ...] = ()
+    from_zero: frozenset[str] = frozenset()
+
+    @cached_property
+    def predictions(self) -> tuple[LogPrediction, ...]:
+        """The prediction of each experiment."""
+        return tuple(LogPrediction(one, lambda values: self.change(self.vehicle, values)) for one in self.experiments)
+
+    @cached_property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all measured signals."""
+        return tuple(dict.fromkeys(name for one in self.experiments for name in one.signals))
+
+    @cached_property
+    def delayed(self) -> tuple[str, ...]:
+        """Names of the signals whose sensor's delay is estimated."""
+        names = {one.signal for each in self.experiments for one in each.channels if one.delay_estimated}
+        return tuple(name for name in self.signals if name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """Places of all unknowns in one vector: logarithms of parameters, delays, then starts and offsets of experiments."""
+
+    free: tuple[str, ...]
+    delayed: tuple[str, ...]
+    starts: tuple[int, ...]
+    offsets: tuple[tuple[int, ...], ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.free) + len(self.delayed) + sum(self.starts) + sum(map(len, self.offsets))
+
+    def of_experiment(self, i: int) -> tuple[slice, slice]:
+        """Returns the places of the start and of the offsets of an experiment."""
+        first = len(self.free) + len(self.delayed) + sum(self.starts[:i]) + sum(map(len, self.offsets[:i]))
+        return slice(first, first + self.starts[i]), slice(first + self.starts[i], first + self.starts[i] + len(self.offsets[i]))
+
+
+class _Residuals:
+    """Residuals over noise of all experiments and their derivatives, for one choice of free parameters."""
+
+    def __init__(self, problem: IdentificationProblem, free: Sequence[str], fixed: Mapping[str, float]) -> None:
+        self.problem, self.fixed = problem, {**problem.first, **fixed}
+        starts = tuple(0 if one.experiment.from_rest else len(one.states(self.fixed)) for one in problem.predictions)
+        offsets = tuple(
+            tuple(i for i, channel in enumerate(one.channels) if channel.offset_estimated) for one in problem.experiments
+        )
+        self.unknowns = _Unknowns(tuple(free), problem.delayed, starts, offsets)
+        self.masks = [np.stack([channel.counted for channel in one.channels], axis=-1) for one in problem.experiments]
+        self.measured = [np.stack([channel.values for channel in one.channels], axis=-1) for one in problem.experiments]
+        self._at, self._now = None, list[PredictedSignals]()
+
+    def values(self, x: Array) -> dict[str, float]:
+        """Returns the values of all parameters."""
+        values = dict(self.fixed)
+        for name, number in zip(self.unknowns.free, x.tolist(), strict=False):
+            values[name] *= (
+                max(number, 0.0) if name in self.problem.from_zero else math.exp(min(max(number, -FURTHEST), FURTHEST))
+            )
+        return values
+
+    def coordinate(self, name: str, value: float) -> float:
+        """Returns the unknown of a parameter: the logarithm of its ratio to the first value, or the ratio if it may be zero."""
+        ratio = value / self.fixed[name]
+        return ratio if name in self.problem.from_zero else math.log(ratio)
+
+    def sizes(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Returns the derivative of each free parameter by its unknown, by name."""
+        return {name: (self.fixed if name in self.problem.from_zero else values)[name] for name in self.unknowns.free}
+
+    def delays(self, x: Array, experiment: Experiment) -> list[float]:
+        """Returns the delays of an experiment's channels [s]."""
+        first = len(self.unknowns.free)
+        own = dict(zip(self.unknowns.delayed, x[first : first + len(self.unknowns.delayed)].tolist(), strict=True))
+        return [own.get(one.signal, one.delay) for one in experiment.channels]
+
+    def predicted(self, x: Array, derivatives: bool = True) -> list[PredictedSignals]:
+        """Returns the predicted signals of all experiments, with offsets."""
+        if self._at is not None and np.array_equal(self._at, x):
+            return self._now
+        values, all_signals = self.values(x), list[PredictedSignals]()
+        for i, one in enumerate(self.problem.predictions):
+            start, offset = self.unknowns.of_experiment(i)
+            first = x[start] if self.unknowns.starts[i] else None
+            signals = one(values, self.sizes(values), first, self.delays(x, one.experiment), derivatives)
+            shift = np.zeros(signals.values.shape[1])
+            shift[list(self.unknowns.offsets[i])] = x[offset]
+            all_signals.append(replace(signals, values=signals.values + shift))
+        if derivatives:
+            self._at, self._now = x.copy(), all_signals
+        return all_signals
+
+    def differences(self, x: Array, derivatives: bool = False) -> list[Array]:
+        """Returns predicted less measured signals of each experiment, shape (T, q); NaN where there is no value."""
+        return [one.values - measured for one, measured in zip(self.predicted(x, derivatives), self.measured, strict=True)]
+
+    def residuals(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Array:
+        """Returns all residuals over noise, shape (N,), channel by channel; of long experiments at most so many samples."""
+        rows = list[Array]()
+        for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
+            rows += [values[np.isfinite(values)] / noise[name] for name, values in zip(one.signals, each[:most].T, strict=True)]
+        return np.concatenate([*rows, self._known(self.values(x))])
+
+    def channel_columns(self, x: Array, noise: Mapping[str, float], i: int, channel: int, part: slice = slice(None)) -> Array:
+        """Returns the derivatives of a channel's residuals in an experiment by all unknowns, shape (T, unknowns)."""
+        u, signals, one = self.unknowns, self.predicted(x)[i], self.problem.experiments[i]
+        name, size = one.signals[channel], noise[one.signals[channel]]
+        columns = np.zeros((len(signals.values[part]), u.size))
+        for j, scale in enumerate(self.sizes(self.values(x)).values()):
+            columns[:, j] = signals.by_parameter[j, part, channel] * (scale / size)
+        if name in u.delayed:
+            columns[:, len(u.free) + u.delayed.index(name)] = signals.by_delay[part, channel] / size
+        start, offset = u.of_experiment(i)
+        columns[:, start] = signals.by_start[:, part, channel].T / size
+        if channel in u.offsets[i]:
+            columns[:, offset.start + u.offsets[i].index(channel)] = 1 / size
+        return columns
+
+    def jacobian(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Array:
+        """Returns the derivatives of `residuals`, shape (N, unknowns)."""
+        return np.concatenate([*(J for J, _ in self._blocks(x, noise, most)), self.known_columns(x)])
+
+    def reduced(self, x: Array, noise: Mapping[str, float]) -> tuple[Array, Array]:
+        """Returns R and c of a QR decomposition of derivatives and residuals: least squares with them are those of all.
+
+        The derivatives of a long log are never in memory together. R has shape (unknowns + 1, unknowns), c (unknowns + 1,).
+        """
+        whole = np.column_stack([self.known_columns(x), self._known(self.values(x))])
+        for J, residuals in self._blocks(x, noise):
+            whole = np.linalg.qr(np.vstack([whole, np.column_stack([J, _finite(residuals)])])).R
+        whole = np.pad(whole, ((0, max(0, whole.shape[1] - len(whole))), (0, 0)))
+        return whole[:, :-1], whole[:, -1]
+
+    def _blocks(self, x: Array, noise: Mapping[str, float], most: int | None = None) -> Iterator[tuple[Array, Array]]:
+        for i, (each, one) in enumerate(zip(self.differences(x, True), self.problem.experiments, strict=True)):
+            for channel, name in enumerate(one.signals):
+                for first in range(0, len(each[:most]), BLOCK):
+                    part = slice(first, min(first + BLOCK, most or len(each)))
+                    values = each[part, channel]
+                    counted = np.isfinite(values)
+                    yield self.channel_columns(x, noise, i, channel, part)[counted], values[counted] / noise[name]
+
+    def known_columns(self, x: Array) -> Array:
+        """Returns the derivatives of what is known from elsewhere over its deviation, shape (k, unknowns)."""
+        values, base = self.values(x), np.zeros((len(self.problem.known), self.unknowns.size))
+        for j, (name, size) in enumerate(self.sizes(values).items() if self.problem.known else ()):
+            base[:, j] = (self._known({**values, name: values[name] + 1e-6 * size}) - self._known(values)) / 1e-6
+        return base
+
+    def _known(self, values: Mapping[str, float]) -> Array:
+        if not self.problem.known:
+            return np.zeros(0)
+        vehicle = self.problem.change(self.problem.vehicle, values)
+        return np.array([(one.of(vehicle) - one.value) / one.deviation for one in self.problem.known])
+
+    def noise(self, x: Array) -> dict[str, float]:
+        """Returns the noise rms of each signal: given, or the rms of its residuals."""
+        squares, counts, given = dict[str, float](), dict[str, int](), dict[str, float]()
+        for each, one in zip(self.differences(x, True), self.problem.experiments, strict=True):
+            for channel, values in zip(one.channels, each.T, strict=True):
+                values = values[np.isfinite(values)]
+                squares[channel.signal] = squares.get(channel.signal, 0.0) + float(values @ values)
+                counts[channel.signal] = counts.get(channel.signal, 0) + len(values)
+                if channel.noise is not None:
+                    given[channel.signal] = channel.noise
+        least = {name: 1e-9 * self.scale[name] for name in counts}
+        return {name: given.get(name) or max(np.sqrt(squares[name] / counts[name]), least[name]) for name in counts}
+
+    @cached_property
+    def scale(self) -> dict[str, float]:
+        """Rms of each measured signal about its mean."""
+        own = dict[str, list[Array]]()
+        for one in self.problem.experiments:
+            for channel in one.channels:
+                own.setdefault(channel.signal, []).append(channel.values[channel.counted])
+        return {name: float(np.concatenate(each).std()) or 1.0 for name, each in own.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A direction of logarithms of parameters that moves no signal.
+
+    Attributes:
+        powers: share of each parameter, by name.
+    """
+
+    powers: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Result of an identification.
+
+    Attributes:
+        problem: parameters and experiments.
+        values: values of all free parameters [SI], by name; those in `held` have their first ones.
+        free: names of the parameters that were estimated, p of them.
+        held: parameters that kept their first values, as the signals determine only their products with others.
+        directions: the directions that move no signal.
+        silent: parameters that no signal feels, with their first values.
+        delays: estimated delays [s], by signal.
+        noise: noise rms of each signal.
+        covariance: covariance of the logarithms of the free parameters if the residuals are white, shape (p, p).
+        robust: the same covariance from the autocovariance of the residuals.
+        whiteness: whiteness of the residuals of each experiment's signals.
+        differences: predicted less measured signals of each experiment, shape (T, q).
+        predicted: predicted signals of each experiment, shape (T, q).
+        deviance: -2 log likelihood but for a constant.
+        residuals: the residuals for further analysis.
+        x: the unknowns.
+    """
+
+    problem: IdentificationProblem
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    held: tuple[str, ...]
+    directions: tuple[Direction, ...]
+    silent: tuple[str, ...]
+    delays: Mapping[str, float]
+    noise: Mapping[str, float]
+    covariance: Array
+    robust: Array
+    whiteness: tuple[Mapping[str, Whiteness], ...]
+    differences: tuple[Array, ...]
+    predicted: tuple[Array, ...]
+    deviance: float
+    residuals: _Residuals = field(repr=False)
+    x: Array = field(repr=False)
+
+    @property
+    def white(self) -> bool:
+        """True if the residuals of all signals are white."""
+        return all(one.white for each in self.whiteness for one in each.values())
+
+    @property
+    def spread(self) -> Array:
+        """Covariance of the logarithms that intervals use: the robust one if residuals are coloured."""
+        return self.covariance if self.white else self.robust
+
+    @cached_property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviation of the logarithm of each free parameter."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.spread)).tolist(), strict=True))
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Free parameters whose interval is so wide that the logs do not determine them in practice."""
+        return tuple(name for name, deviation in self.deviations.items() if not deviation < WIDE)
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Returns the 95 % interval of a free parameter."""
+        value, width = self.values[name], NORMAL * self.deviations[name]
+        return value * float(np.exp(-width)), value * float(np.exp(width))
+
+    def combination(self, powers: Mapping[str, float]) -> tuple[float, float]:
+        """Returns a product of powers of parameters, and the standard deviation of its logarithm.
+
+        Args:
+            powers: power of each parameter; those that were held count as known, as the product does not depend on them.
+        """
+        weights = np.array([powers.get(name, 0.0) for name in self.free])
+        value = float(np.exp(sum(power * np.log(self.values[name]) for name, power in powers.items())))
+        return value, float(np.sqrt(weights @ self.spread @ weights))
+
+    @property
+    def fits(self) -> list[dict[str, float]]:
+        """Share of each signal's rms about its mean that the prediction explains, of each experiment."""
+        return measured_fits(self.problem.experiments, self.differences)
+
+    @cached_property
+    def ratios(self) -> dict[str, dict[str, float]]:
+        """Product of each free parameter with held ones that the logs determine: powers, by name."""
+        if not self.directions:
+            return {}
+        N = np.array([[one.powers.get(name, 0.0) for one in self.directions] for name in (*self.free, *self.held)])
+        own, held = N[: len(self.free)], N[len(self.free) :]
+        shares = np.linalg.solve(held.T, own.T).T  # own = shares held, so log own - shares log held does not move
+        return {
+            name: {name: 1.0, **{other: -_tidy(share) for other, share in zip(self.held, row, strict=True) if _tidy(share)}}
+            for name, row in zip(self.free, shares, strict=True)
+        }
+
+
+def measured_fits(experiments: Sequence[Experiment], differences: Sequence[Array]) -> list[dict[str, float]]:
+    """Returns the share of each signal's rms about its mean that a prediction explains, of each experiment."""
+    each = list[dict[str, float]]()
+    for one, difference in zip(experiments, differences, strict=True):
+        each.append({})
+        for channel, values in zip(one.channels, difference.T, strict=True):
+            counted = np.isfinite(values)
+            spread = float(channel.values[counted].std()) if counted.any() else 0.0
+            each[-1][channel.signal] = 1 - float(np.sqrt(np.mean(values[counted] ** 2))) / spread if spread else 0.0
+    return each
+
+
+def start_and_offsets(problem: IdentificationProblem) -> list[Array]:
+    """Returns predicted less measured signals with the first values, and the starts and offsets that fit best."""
+    residuals = _Residuals(problem, (), {})
+    return residuals.differences(_first(residuals), True)
+
+
+def _tidy(number: float) -> float:
+    """Returns the nearest small fraction if a number is that but for rounding."""
+    near = round(12 * number) / 12
+    return near if abs(near - number) < 1e-4 else float(number)
+
+
+def estimate(problem: IdentificationProblem, free: Sequence[str], seed: int = 0) -> Estimate:
+    """Identifies parameters.
+
+    Args:
+        free: names of the parameters to estimate; the others keep their first values.
+        seed: seed of further starts, if the first one leads to a poor fit.
+
+    Raises:
+        InputError: there is nothing to estimate, or no start leads to a solution.
+    """
+    if not free:
+        raise InputError(f"no parameter is free; free one of {list_names(problem.first)} with --free")
+    every = _Residuals(problem, free, {})
+    x = _first(every)
+    held, silent, directions = _structure(every, x)
+    left = tuple(name for name in free if name not in (*held, *silent))
+    if not left:
+        raise InputError("the signals determine no parameter alone or in combination; measure a signal that they move")
+    some = _Residuals(problem, left, {})
+    best = _solve(some, _first(some))
+    if _poor(some, best[0]):
+        rng = np.random.default_rng(seed)
+        for _ in range(STARTS):
+            with suppress(InputError, np.linalg.LinAlgError):  # a vehicle that cannot be
+                x = _least_squares(some, _first(some, rng.uniform(-SPREAD, SPREAD, len(left))), best[1], FEW)
+                if _deviance(some, x, some.noise(x)) < best[2] - CHI2:
+                    best = min(best, _solve(some, x), key=lambda one: one[2])
+    return _estimate(some, best, held, silent, directions)
+
+
+def standard_deviations(problem: IdentificationProblem) -> dict[str, float]:
+    """Returns the standard deviation of the logarithm of each parameter at the first values: the bound of Cramer and Rao.
+
+    It is infinite for a parameter that the signals do not determine.
+    """
+    free = tuple(problem.first)
+    of = _Residuals(problem, free, {})
+    noise = {one.signal: one.noise or 1.0 for each in problem.experiments for one in each.channels}
+    x = np.zeros(of.unknowns.size)
+    x[: len(free)] = [of.coordinate(name, of.fixed[name]) for name in free]
+    R, _ = _information(of.reduced(x, noise)[0], len(free))
+    sizes = np.linalg.norm(R, axis=0)
+    _, s, V = np.linalg.svd(R / np.where(sizes, sizes, 1.0))
+    open_directions = V[s <= SINGULAR * s[0]]
+    spread = np.sqrt(np.sum((V / np.maximum(s, 1e-300)[:, None]) ** 2, axis=0)) / np.where(sizes, sizes, 1e-300)
+    unknown = np.abs(open_directions).max(axis=0, initial=0.0) > 1e-5
+    return {name: float("inf" if lost else one) for name, one, lost in zip(free, spread, unknown, strict=True)}
+
+
+def nearby(problem: IdentificationProblem, free: Sequence[str], deviance: float) -> dict[str, float] | None:
+    """Returns the solution from the first values on; None if it does not fit as well as a deviance.
+
+    A start that is far from a solution is not followed.
+    """
+    of = _Residuals(problem, free, {})
+    x = _first(of)
+    if _deviance(of, x, of.noise(x)) > deviance + FAR:
+        return None
+    solution = _solve(of, x)
+    return of.values(solution[0]) if solution[2] <= deviance else None
+
+
+def _first(of: _Residuals, shift: Array | None = None) -> Array:
+    """Returns the first unknowns: parameters as given, and the starts and offsets that fit best with these."""
+    u, x = of.unknowns, np.zeros(of.unknowns.size)
+    p = len(u.free)
+    x[:p] = [of.coordinate(name, of.fixed[name]) for name in u.free]
+    if shift is not None:
+        x[:p] += shift
+    given = {one.signal: one.delay for each in of.problem.experiments for one in each.channels}
+    x[p : p + len(u.delayed)] = [given[name] for name in u.delayed]
+    if u.size == p + len(u.delayed):
+        return x
+    noise = of.scale
+    R, c = of.reduced(x, noise)
+    x[p + len(u.delayed) :] -= np.linalg.lstsq(R[:, p + len(u.delayed) :], c)[0]
+    return x
+
+
+def _solve(of: _Residuals, x: Array) -> tuple[Array, dict[str, float], float]:
+    """Returns the unknowns of largest likelihood, the noise and the deviance; noise and parameters alternate."""
+    noise = of.noise(x)
+    for _ in range(ROUNDS):
+        x = _least_squares(of, x, noise)
+        before, noise = noise, of.noise(x)
+        if all(abs(noise[name] - before[name]) <= SETTLED * noise[name] for name in noise):
+            break
+    return x, noise, _deviance(of, x, noise)
+
+
+def _least_squares(of: _Residuals, x: Array, noise: Mapping[str, float], most: int = MOST) -> Array:
+    """Returns the unknowns of the least squares of residuals over a noise, after at most so many evaluations."""
+    from scipy.optimize import least_squares
+
+    def jacobian(x: Array, noise: Mapping[str, float]) -> Array:
+        return of.reduced(x, noise)[0]
+
+    least = np.full(len(x), -np.inf)
+    least[[name in of.problem.from_zero for name in of.unknowns.free] + [False] * (len(x) - len(of.unknowns.free))] = 0.0
+    bounds: Any = {"bounds": (least, np.inf)} if np.isfinite(least).any() else {}
+    inside = np.maximum(x, np.where(np.isfinite(least), 1e-3, -np.inf))  # a start on a bound stalls
+    by_unknown: Any = jacobian
+    return least_squares(
+        lambda x, noise: of.reduced(x, noise)[1], inside, by_unknown, args=(noise,), max_nfev=most, **bounds, **TOLERANCES
+    ).x
+
+
+def _finite(residuals: Array) -> Array:
+    """Returns residuals that an unstable vehicle overflows as large ones, from which steps turn back."""
+    return np.nan_to_num(np.clip(residuals, -1e12, 1e12), nan=1e12)
+
+
+def _deviance(of: _Residuals, x: Array, noise: Mapping[str, float]) -> float:
+    _, c = of.reduced(x, noise)
+    counts = dict[str, int]()
+    for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
+        for name, values in zip(one.signals, each.T, strict=True):
+            counts[name] = counts.get(name, 0) + int(np.isfinite(values).sum())
+    return float(c @ c + 2 * sum(count * np.log(noise[name]) for name, count in counts.items()))
+
+
+def _poor(of: _Residuals, x: Array) -> bool:
+    """Returns True if a signal's residuals are not white and have more than a share of its mean square."""
+    for each, one in zip(of.differences(x, True), of.problem.experiments, strict=True):
+        for name, values in zip(one.signals, each.T, strict=True):
+            if np.nanmean(values**2) > (1 - POOR) * of.scale[name] ** 2 and not whiteness(values).white:
+                return True
+    return False
+
+
+def _information(R: Array, p: int) -> tuple[Array, Array]:
+    """Returns the information on the first p unknowns beside all others, and how these move with the former.
+
+    Args:
+        R: the derivatives of all residuals, or the R of their QR decomposition, shape (k, u).
+
+    Returns:
+        R with R'R = the information, shape (p, p), and C, shape (u - p, p): the others' columns C are what they explain of the p.
+    """
+    own, others = R[:, :p], R[:, p:]
+    C = np.linalg.lstsq(others, own)[0] if others.shape[1] else np.zeros((0, p))
+    return np.linalg.qr(own - others @ C).R, C
+
+
+def _structure(of: _Residuals, x: Array) -> tuple[tuple[str, ...], tuple[str, ...], tuple[Direction, ...]]:
+    """Returns the parameters to hold, those that no signal feels, and the directions that move no signal, at some unknowns."""
+    free, p = of.unknowns.free, len(of.unknowns.free)
+    # At the first values the derivative by a logarithm is that by the unknown, also of a parameter that may be zero.
+    R, _ = _information(of.reduced(x, of.scale)[0], p)
+    sizes = np.linalg.norm(R, axis=0)
+    silent = tuple(name for name, size in zip(free, sizes, strict=True) if size <= SINGULAR * sizes.max(initial=0.0))
+    felt = [i for i, name in enumerate(free) if name not in silent]
+    if not felt:
+        return (), silent, ()
+    _, s, V = np.linalg.svd(R[:, felt] / sizes[felt])
+    # Columns are scaled to 1 to find the rank. Their directions follow in logarithms.
+    null = (V[s <= SINGULAR * s[0]] / sizes[felt]).T
+    if not null.size:
+        return (), silent, ()
+    held, rows = list[int](), null.copy()
+    order = sorted(range(len(felt)), key=lambda i: (not free[felt[i]].startswith("sprung_mass"), "mass" not in free[felt[i]], i))
+    for _ in range(null.shape[1]):
+        largest = np.abs(rows).max(axis=1)
+        pivot = next(i for i in order if i not in held and largest[i] > 0.1 * largest.max())
+        held.append(pivot)
+        column = int(np.argmax(np.abs(rows[pivot])))
+        rows = rows - np.outer(rows[:, column], rows[pivot]) / rows[pivot, column]
+    basis = null @ np.linalg.inv(null[held])
+    names = [free[i] for i in felt]
+    directions = tuple(
+        Direction({name: _tidy(power) for name, power in zip(names, column, strict=True) if abs(power) > 1e-5})
+        for column in basis.T
+    )
+    return tuple(names[i] for i in held), silent, directions
+
+
+def _estimate(
+    of: _Residuals,
+    solution: tuple[Array, dict[str, float], float],
+    held: tuple[str, ...],
+    silent: tuple[str, ...],
+    directions: tuple[Direction, ...],
+) -> Estimate:
+    """Returns the estimate of a solution with covariances and whiteness."""
+    x, noise, deviance = solution
+    u, p = of.unknowns, len(of.unknowns.free)
+    whole, _ = of.reduced(x, noise)
+    R, C = _information(whole, p)
+    inverse, values = np.linalg.pinv(R), of.values(x)
+    by_unknown = np.array([size / max(values[name], 1e-9 * size) for name, size in of.sizes(values).items()])
+    covariance = inverse @ inverse.T
+    differences, tests = of.differences(x, True), list[dict[str, Whiteness]]()
+    middle = np.zeros((p, p))
+    for i, (each, one) in enumerate(zip(differences, of.problem.experiments, strict=True)):
+        tests.append({})
+        for channel, name in enumerate(one.signals):
+            scaled = each[:, channel] / noise[name]
+            tests[-1][name] = whiteness(scaled)
+            columns = of.channel_columns(x, noise, i, channel) * np.isfinite(scaled)[:, None]
+            middle += autoregressive(scaled).sandwich(np.nan_to_num(columns[:, :p] - columns[:, p:] @ C))
+    exact = of.known_columns(x)
+    middle += (exact[:, :p] - exact[:, p:] @ C).T @ (exact[:, :p] - exact[:, p:] @ C)
+    first = len(u.free)
+    return Estimate(
+        of.problem,
+        {**{name: of.fixed[name] for name in (*held, *silent)}, **{name: values[name] for name in u.free}},
+        u.free,
+        held,
+        directions,
+        silent,
+        dict(zip(u.delayed, x[first : first + len(u.delayed)].tolist(), strict=True)),
+        noise,
+        covariance * np.outer(by_unknown, by_unknown),
+        covariance @ middle @ covariance * np.outer(by_unknown, by_unknown),
+        tuple(tests),
+        tuple(differences),
+        tuple(one.values for one in of.predicted(x)),
+        deviance,
+        of,
+        x,
+    )
+
+
+def profile(of: Estimate, name: str) -> tuple[float | None, float | None]:
+    """Returns the 95 % interval of a parameter by profile likelihood; None for a side that is open.
+
+    A side is open if the likelihood does not fall as far as at the end of an interval. The parameter then moved by a factor of
+    8000, or to zero if it may be zero. If residuals are coloured, the likelihood counts for less, as in the robust covariance.
+    """
+    from scipy.optimize import brentq
+
+    i, own = of.free.index(name), of.residuals
+    others, warm = tuple(one for one in of.free if one != name), {0.0: np.delete(of.x, i)}
+    rise = CHI2 * (of.spread[i, i] / of.covariance[i, i])
+    size = own.sizes(of.values)[name]
+    deviation = float(np.sqrt(of.spread[i, i])) * max(of.values[name], 1e-9 * size) / size  # of the unknown
+    from_zero, best = name in of.problem.from_zero, of.x[i]
+
+    def excess(shift: float) -> float:
+        value = own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift))
+        # Known values stay first values, so that the unknowns of the others keep their meaning.
+        fixed = _Residuals(replace(of.problem, first={**own.fixed, name: value}), others, {})
+        solution = _solve(fixed, warm[min(warm, key=lambda one: abs(one - shift))])
+        warm[shift] = solution[0]
+        return solution[2] - of.deviance - rise
+
+    ends = list[float | None]()
+    for sign in (-1, 1):
+        low, high = 0.0, sign * min(NORMAL * deviation, FURTHEST)
+        last = sign * (best if from_zero and sign < 0 else FURTHEST)
+        high = high if abs(high) < abs(last) else last
+        while (above := excess(high)) < 0 and high != last:
+            low, high = high, sign * min(2 * abs(high), abs(last))
+        if above < 0:
+            ends.append(None)
+            continue
+        shift = brentq(excess, low, high, xtol=1e-2 * deviation, rtol=np.float64(1e-4))
+        ends.append(own.fixed[name] * (max(best + shift, 0.0) if from_zero else math.exp(best + shift)))
+    return ends[0], ends[1]

@@ -1,0 +1,74 @@
+"""Experiments: one stretch of a measured log, at equidistant times, with what drove the vehicle and what sensors measured."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from models.common.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Measured signal of an experiment.
+
+    Attributes:
+        signal: name of the vehicle's signal.
+        values: measured values in SI units, shape (T,); NaN for a missing value, or one that does not count.
+        noise: rms of the sensor's noise, in the signal's unit; None if it is estimated.
+        delay: delay of the sensor [s], or its first value if it is estimated.
+        delay_estimated: True if the delay is estimated.
+        offset_estimated: True if a constant offset is estimated.
+    """
+
+    signal: str
+    values: Array
+    noise: float | None = None
+    delay: float = 0.0
+    delay_estimated: bool = False
+    offset_estimated: bool = False
+
+    @property
+    def counted(self) -> Array:
+        """True for the samples that have a value, shape (T,)."""
+        return np.isfinite(self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One stretch of a log.
+
+    Attributes:
+        name: name of the log, and of the stretch if the log has several.
+        step: time between samples [s].
+        road: road heights under the r wheels [m], or with `hubs` their vertical accelerations [m/s2], shape (T, r). Between
+            samples they follow straight lines.
+        forces: control forces [N], shape (T, m).
+        channels: measured signals.
+        added: additions to parameters of the vehicle file, such as a payload, by name [SI].
+        from_rest: True if the vehicle starts at rest on the first height; else its state at the start is estimated.
+        hubs: True if the road is unknown, and the measured accelerations of the hubs drive the body.
+        forces_held: True if each force is held until the next sample, as by a computer; else forces follow straight lines.
+        start: time of the first sample in the log's own clock [s].
+    """
+
+    name: str
+    step: float
+    road: Array
+    forces: Array
+    channels: tuple[Channel, ...]
+    added: Mapping[str, float] = field(default_factory=dict[str, float])
+    from_rest: bool = False
+    hubs: bool = False
+    forces_held: bool = False
+    start: float = 0.0
+
+    @property
+    def time(self) -> Array:
+        """Sample times in the log's own clock [s], shape (T,)."""
+        return self.start + self.step * np.arange(len(self.road))
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the measured signals."""
+        return tuple(one.signal for one in self.channels)

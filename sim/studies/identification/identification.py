@@ -1,0 +1,264 @@
+"""Identification of a vehicle from logs: what is free, the estimate, what it is worth, and the vehicle that results."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, alike, short_repr
+from models.common.printed import rough
+from models.vehicle.vehicle import Vehicle
+from sim.runs.sampled_vehicle import with_sample
+from sim.studies.identification.diagnosis import Cause, airborne, causes, check_columns, resonances
+from sim.studies.identification.estimate import (
+    CHI2,
+    Estimate,
+    IdentificationProblem,
+    estimate,
+    measured_fits,
+    nearby,
+    profile,
+    start_and_offsets,
+)
+from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.in_mujoco import difference_in_mujoco
+from sim.studies.identification.log_map import LogMap, read_map
+from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
+
+if TYPE_CHECKING:
+    from sim.studies.identification.allowed import AllowedResult
+
+UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
+SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0
+SKEWED = 0.2  # standard deviation of a logarithm from which the interval comes from the profile of the likelihood
+AFTER = 0.5  # s after a landing in which samples do not count: the tyre is not linear there
+NAMED = 0.5  # share of the residuals' squares with named causes, from which a resonance is not looked for
+ANOTHER = 0.1  # difference of a logarithm from which a solution is another one
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """95 % interval of a parameter.
+
+    Attributes:
+        low, high: ends; None for an open side.
+        method: covariance, robust, or profile.
+    """
+
+    low: float | None
+    high: float | None
+    method: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result of an identification.
+
+    Attributes:
+        estimate: the estimate.
+        intervals: interval of each free parameter that the logs determine alone.
+        causes: causes of a misfit in the residuals.
+        remarks: remarks on logs and columns.
+        mirror: values of another solution that fits as well, by name; empty if none is known.
+        held_out: share of the rms of each signal that the prediction explains in logs that were not used, by experiment.
+        in_mujoco: largest difference of MuJoCo from the prediction, over each signal's peak; empty if nothing was simulated.
+        allowed: results of controllers over the vehicles that the logs allow, if requested.
+    """
+
+    estimate: Estimate
+    intervals: Mapping[str, Interval]
+    causes: tuple[Cause, ...]
+    remarks: tuple[str, ...]
+    mirror: Mapping[str, float]
+    held_out: tuple[tuple[str, Mapping[str, float]], ...]
+    in_mujoco: Mapping[str, float]
+    allowed: "tuple[AllowedResult, ...]" = ()
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """The vehicle with the identified values."""
+        return changed(self.estimate.problem.vehicle, self.estimate.values)
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Free parameters whose value the logs determine alone."""
+        return tuple(self.intervals)
+
+
+def changed(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
+    """Returns a vehicle with other values; the number of a table's parameter, its slope at rest, multiplies the whole table."""
+    optional = {one.name for one in vehicle.kind.parameters} - vehicle.parameters.keys()
+    if missing := {name: value for name, value in values.items() if name in optional}:
+        vehicle = vehicle.altered(missing)
+    curves = {
+        name: curve.scaled(values[name] / vehicle.parameters[name]) if name in values else curve
+        for name, curve in vehicle.curves.items()
+    }
+    return with_sample(replace(vehicle, curves=curves) if vehicle.curves else vehicle, values)
+
+
+def free_parameters(vehicle: Vehicle, fix: Sequence[str] = (), free: Sequence[str] = ()) -> dict[str, float]:
+    """Returns the first values of the free parameters: masses, inertias, stiffnesses and dampings that the file has above zero.
+
+    Args:
+        fix: names that keep their values.
+        free: further names; a damping that the file has as zero starts at a small value.
+
+    Raises:
+        InputError: a name is not a parameter of the vehicle, or cannot be estimated.
+    """
+    units = {one.name: one.unit for one in vehicle.kind.parameters}
+    numbers = _numbers(vehicle)
+    given = {**{one.name: one.usual or 0.0 for one in vehicle.kind.parameters}, **vehicle.parameters, **numbers}
+    for name in (*fix, *free):
+        if name not in given:
+            raise InputError(f"{short_repr(name)} is not a parameter; give one of {alike(name, given)}")
+    for name in fix:
+        if name in free:
+            raise InputError(f"{name} is fixed and free; give it once")
+    first = {name: value for name, value in vehicle.parameters.items() if units.get(name) in UNITS and value > 0}
+    first |= {name: given[name] for name in free}
+    for name in free:
+        if first[name] < 0:
+            raise InputError(f"{name} = {first[name]:g} cannot be estimated: only numbers above 0 can")
+        if first[name] == 0:
+            first[name] = _small(vehicle, name, units)
+    return {name: value for name, value in first.items() if name not in fix}
+
+
+def _numbers(vehicle: Vehicle) -> dict[str, float]:
+    """Returns the numbers of force elements by NAME.key."""
+    return {key: value for element in vehicle.elements for key, (value, _) in element.numbers.items()}
+
+
+def _small(vehicle: Vehicle, name: str, units: Mapping[str, str]) -> float:
+    p, ending = vehicle.parameters, name.removeprefix("tyre_damping")
+    kind = vehicle.kind
+    stiffness, mass = (p.get(kind.of_corner(one, ending), 0.0) for one in ("tyre_stiffness", "unsprung_mass"))
+    if units.get(name) != "N s/m" or not stiffness or not mass:
+        raise InputError(f"{name} is 0 in the file; give a first value above 0 there, and free it then")
+    return 2 * SMALL_START * float(np.sqrt(stiffness * mass))
+
+
+def identify(
+    logs: Sequence[Path],
+    vehicle: Vehicle,
+    log_map: Path | LogMap | None = None,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    hold_out: Sequence[Path] = (),
+    seed: int = 0,
+) -> Identification:
+    """Identifies the parameters of a vehicle from logs.
+
+    Args:
+        logs: files of logs, see `sim.studies.identification.reading`.
+        vehicle: vehicle with first values. All that is not free stays as it is.
+        log_map: map of columns to signals; None for logs whose headings are names of signals.
+        fix: parameters that keep their values.
+        free: further parameters to estimate, such as tyre_damping, or numbers of force elements as NAME.key.
+        hold_out: logs that are only predicted.
+        seed: seed of further starts.
+
+    Raises:
+        InputError: a file is wrong, a column has another unit or sign, or the logs determine nothing.
+    """
+    own = log_map if isinstance(log_map, LogMap) else read_map(log_map, vehicle)
+    named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
+    read = [read_experiments(path, named, own) for path in logs]
+    return identify_experiments(read, named, own, fix, free, [read_experiments(path, named, own) for path in hold_out], seed)
+
+
+def identify_experiments(
+    logs: Sequence[LogStretches],
+    vehicle: Vehicle,
+    log_map: LogMap,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    hold_out: Sequence[LogStretches] = (),
+    seed: int = 0,
+) -> Identification:
+    """Identifies the parameters of a vehicle from experiments; arguments and errors as for `identify`."""
+    first = free_parameters(vehicle, fix, free)
+    experiments = tuple(one for log in logs for one in log.experiments)
+    zero = frozenset(name for name in free if not {**vehicle.parameters, **_numbers(vehicle)}.get(name))
+    problem = IdentificationProblem(vehicle, changed, first, experiments, log_map.known, zero)
+    remarks = [one for log in logs for one in log.remarks] + check_columns(problem)
+    result = estimate(problem, tuple(first), seed)
+    if air := airborne(result):
+        problem, more = _on_the_ground(problem, air)
+        remarks += more
+        result = estimate(problem, tuple(first), seed)
+    mirror = _mirror(result)
+    intervals = dict[str, Interval]()
+    for name in result.free:
+        if result.ratios and set(result.ratios[name]) != {name}:
+            continue
+        if result.deviations[name] < SKEWED and name not in zero:
+            intervals[name] = Interval(*result.interval(name), "covariance" if result.white else "robust")
+        else:
+            intervals[name] = Interval(*profile(result, name), "profile")
+    ended = tuple((one.name, fit) for log in hold_out for one, fit in _held_out(result, log))
+    named = causes(result)
+    if not result.white and sum(one.share for one in named) < NAMED:
+        remarks += resonances(result)
+    return Identification(result, intervals, named, tuple(remarks), mirror, ended, difference_in_mujoco(result))
+
+
+def _on_the_ground(problem: IdentificationProblem, air: Sequence[tuple[int, Array]]) -> tuple[IdentificationProblem, list[str]]:
+    """Returns the problem without the times in the air, each later stretch with a state of its own."""
+    experiments, remarks, lifted = list[Experiment](), list[str](), dict(air)
+    for i, one in enumerate(problem.experiments):
+        if i not in lifted:
+            experiments.append(one)
+            continue
+        out, margin = lifted[i].copy(), round(AFTER / one.step)
+        for k in np.flatnonzero(lifted[i]):
+            out[max(k - 2, 0) : k + margin] = True
+        remarks.append(
+            f"{one.name}: a wheel is in the air in {int(lifted[i].sum())} samples; these do not count, nor {AFTER:g} s after each"
+        )
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(int)))
+        for first, last in edges.reshape(-1, 2):
+            if last - first >= LEAST:
+                channels = tuple(replace(each, values=each.values[first:last]) for each in one.channels)
+                experiments.append(
+                    replace(
+                        one, name=f"{one.name}, {rough(one.start + one.step * first)} s", road=one.road[first:last],
+                        forces=one.forces[first:last], channels=channels, from_rest=one.from_rest and first == 0,
+                        start=one.start + one.step * first,
+                    )
+                )  # fmt: skip
+    if not experiments:
+        raise InputError("a wheel is in the air nearly all the time; drive more slowly, or over a lower road")
+    return replace(problem, experiments=tuple(experiments)), remarks
+
+
+def _mirror(of: Estimate) -> dict[str, float]:
+    """Returns another solution of a quarter-car that fits as well: suspension and tyre in each other's place.
+
+    With a damped tyre, the body's motion alone cannot tell k_s, c_s, k_t, c_t from k_t m, c_t m, k_s / m, c_s / m with
+    m = m_s / (m_s + m_u).
+    """
+    names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")
+    if any(name not in of.free for name in names) or "sprung_mass" not in of.problem.vehicle.parameters:
+        return {}
+    values = {**of.problem.vehicle.parameters, **of.values}
+    share = values["sprung_mass"] / (values["sprung_mass"] + values["unsprung_mass"])
+    k_s, c_s, k_t, c_t = (values[name] for name in names)
+    other = dict(zip(names, (k_t * share, c_t * share, k_s / share, c_s / share), strict=True))
+    again = nearby(replace(of.problem, first={**of.values, **other}), of.free, of.deviance + CHI2)
+    if again is None or not any(abs(np.log(again[name] / of.values[name])) > ANOTHER for name in names if of.values[name]):
+        return {}
+    return again
+
+
+def _held_out(of: Estimate, log: LogStretches) -> list[tuple[Experiment, dict[str, float]]]:
+    """Returns the fits of a log that was not used; its start and offsets are estimated."""
+    problem = replace(of.problem, first=of.values, experiments=log.experiments, known=())
+    fits = measured_fits(problem.experiments, start_and_offsets(problem))
+    return list(zip(problem.experiments, fits, strict=True))

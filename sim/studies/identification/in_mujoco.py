@@ -1,0 +1,45 @@
+"""The identified vehicle through MuJoCo, over the road of an experiment: an independent check of the prediction."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.roads.rig import Rig
+from sim.studies.identification.estimate import Estimate
+
+TIMESTEP = 1e-3  # s, largest of the simulation
+MOST = 60.0  # s of an experiment that is simulated
+
+
+def difference_in_mujoco(of: Estimate) -> dict[str, float]:
+    """Returns the largest difference of MuJoCo from the prediction, over each signal's peak, of the first experiment.
+
+    It is empty if forces act there, or the road is unknown: no law repeats the forces of a log.
+    """
+    from sim.runs.run import run_controllers
+    from synth.vehicle.designer import design
+
+    one, prediction = of.problem.experiments[0], of.problem.predictions[0]
+    if one.hubs or one.forces.any():
+        return {}
+    count, steps = min(len(one.road), round(MOST / one.step)), max(1, int(np.ceil(one.step / TIMESTEP - 1e-9)))
+    vehicle = prediction.vehicle(of.values)
+    start, offsets = of.residuals.unknowns.of_experiment(0)
+    if of.residuals.unknowns.starts[0]:
+        names = vehicle.linear_model.states
+        vehicle = replace(vehicle, start=dict(zip(names, of.x[start].tolist(), strict=True)))
+    shift = np.zeros(len(one.channels))
+    shift[list(of.residuals.unknowns.offsets[0])] = of.x[offsets]
+    posts = tuple(wheel.road_displacement for wheel in vehicle.kind.wheels)
+    fine = one.step / steps * np.arange((count - 1) * steps + 1)
+    heights = np.stack([np.interp(fine, one.step * np.arange(count), column[:count]) for column in one.road.T], axis=-1)
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Rig(fine, heights, posts), fine, balanced=False)
+    each = dict[str, float]()
+    for i, channel in enumerate(one.channels):
+        delay = of.delays.get(channel.signal, channel.delay)
+        values = run.physics[channel.signal]
+        there = np.interp(one.step * np.arange(count) - delay, fine, values, left=np.nan)
+        predicted = of.predicted[0][:count, i] - shift[i]
+        peak = float(np.nanmax(np.abs(predicted)))
+        each[channel.signal] = float(np.nanmax(np.abs(there - predicted))) / peak if peak else 0.0
+    return each

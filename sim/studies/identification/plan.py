@@ -1,0 +1,110 @@
+"""Plans of a test: how well chirps of a rig would determine the parameters, before anything is driven.
+
+The covariance of the estimate follows from the vehicle, the sensors and their noise alone (the bound of Cramer and Rao). The
+amplitude of each chirp is the largest with which every wheel stays on its post with a reserve.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, list_names
+from models.document.field import Field, Record
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.estimate import IdentificationProblem, standard_deviations
+from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.identification import changed, free_parameters
+from sim.studies.identification.log_map import LogMap
+from sim.studies.identification.prediction import LogPrediction
+
+RESERVE = 0.8  # share of the static compression of a tyre, and of a suspension's travel, that the motion may have
+DURATIONS = (10.0, 30.0, 60.0)  # s
+BANDS = ((0.5, 5.0), (0.5, 20.0), (2.0, 20.0))  # Hz
+LARGEST = 0.05  # m, amplitude of a rig's post
+TRAVEL = 0.06  # m, of a suspension, each way
+STEP = 0.005  # s
+APART = 0.3  # relative difference of the first frequencies of two posts
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A chirp and what it determines.
+
+    Attributes:
+        duration: length of the chirp [s].
+        low, high: frequencies at start and end [Hz].
+        amplitude: largest height [m].
+        deviations: relative standard deviation of each parameter; infinite for one that it does not determine.
+    """
+
+    duration: float
+    low: float
+    high: float
+    amplitude: float
+    deviations: Mapping[str, float]
+
+    @property
+    def worst(self) -> float:
+        """The largest relative standard deviation."""
+        return max(self.deviations.values())
+
+
+PLANS = (
+    Field[Plan]("chirp", lambda one: f"{one.low:g} to {one.high:g} Hz", key="chirp"),
+    Field[Plan]("duration", lambda one: one.duration, ".0f", key="duration", unit="s"),
+    Field[Plan]("amplitude", lambda one: one.amplitude, ".2g", 1e3, key="amplitude", unit="mm"),
+    Field[Plan]("worst deviation", lambda one: one.worst, ".2g", 100, key="worst", unit="%"),
+)
+
+PLAN = Record[Plan](*PLANS, deviations="deviations")
+
+
+def chirp(duration: float, low: float, high: float, step: float) -> Array:
+    """Returns a chirp of amplitude 1 whose frequency grows exponentially [Hz], with a fade-in of one period, shape (T,)."""
+    time = np.arange(0, duration + step / 2, step)
+    scale = duration / np.log(high / low)
+    return np.minimum(time * low, 1.0) * np.sin(2 * np.pi * low * scale * (np.exp(time / scale) - 1))
+
+
+def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[Plan]:
+    """Returns chirps on all posts, those first whose worst relative standard deviation is the smallest.
+
+    The posts of several wheels start at different frequencies, so that no motion of the body is missing.
+
+    Args:
+        log_map: the sensors: signals with their noise.
+
+    Raises:
+        InputError: a sensor has no noise.
+    """
+    silent = [name for name, one in log_map.sensors.items() if one.noise is None and not name.startswith("road")]
+    sensors = {name: one.noise for name, one in log_map.sensors.items() if one.noise is not None}
+    if silent or not sensors:
+        raise InputError(f"a plan needs the noise of each sensor; give noise below [signals.{list_names(silent) or 'NAME'}]")
+    named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
+    first, wheels = free_parameters(named, fix, free), len(named.kind.wheels)
+    each = list[Plan]()
+    for duration in DURATIONS:
+        for low, high in BANDS:
+            road = np.stack([chirp(duration, low * (1 + APART * i), high, STEP) for i in range(wheels)], axis=-1)
+            amplitude = min(LARGEST, RESERVE / _loads(named, road))
+            channels = tuple(Channel(name, np.zeros(len(road)), noise) for name, noise in sensors.items())
+            forces = np.zeros((len(road), len(named.linear_model.inputs)))
+            experiment = Experiment("plan", STEP, amplitude * road, forces, channels, from_rest=True)
+            problem = IdentificationProblem(named, changed, first, (experiment,), log_map.known)
+            each.append(Plan(duration, low, high, amplitude, standard_deviations(problem)))
+    return sorted(each, key=lambda one: (one.worst, one.duration))
+
+
+def _loads(vehicle: Vehicle, road: Array) -> float:
+    """Returns the largest motion of a tyre over its static compression, or of a suspension over its travel, per metre of road."""
+    limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
+    limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
+    names = [name for name in limits if name in vehicle.linear_model.outputs]
+    channels = tuple(Channel(name, np.zeros(len(road))) for name in names)
+    forces = np.zeros((len(road), len(vehicle.linear_model.inputs)))
+    prediction = LogPrediction(Experiment("", STEP, road, forces, channels, from_rest=True), lambda _: vehicle)
+    values = prediction({}, {}, None, [0.0] * len(names), False).values
+    return float(np.abs(values / [limits[name] for name in names]).max())

@@ -1,0 +1,258 @@
+"""Signals of a vehicle over a measured road, and their derivatives by its parameters.
+
+A vehicle with straight springs and dampers has
+
+    x' = A x + Bv v + Bd v',    y = C x + Dv v + Dd v',
+
+with the road heights and forces v, which follow straight lines between samples. The matrix exponential of [x; v; v'] then gives
+the exact step from sample to sample. It also gives the measurements at any time within the step: those of a sensor with a delay.
+
+Matrices of the step are differentiated by central differences. The recursion of the response itself then gives
+the derivatives of the response. Their error is that of the matrices, about 1e-10, for logs of any length.
+
+A vehicle with force elements or tables takes steps of RK4 (`sim.linear.stepped`). Its derivatives are differences of responses.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array, recursion
+from models.common.errors import InputError
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.experiment import Experiment
+
+DIFFERENCE = 1e-5  # relative step of differences of matrices: their error is its square
+STEPPED_DIFFERENCE = 1e-4  # relative step of differences of responses
+HUB, TYRE = "unsprung_velocity", "tyre_deflection"
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedSignals:
+    """Predicted measurements of an experiment with q channels, and their derivatives.
+
+    Attributes:
+        values: shape (T, q); NaN before the first sample that a sensor with a delay can measure.
+        by_parameter: derivative by each of p parameters, per SI unit, shape (p, T, q).
+        by_start: derivative by the n numbers of the state at the start, shape (n, T, q); n = 0 if it is known.
+        by_delay: derivative by the delay of each channel's own sensor, shape (T, q).
+    """
+
+    values: Array
+    by_parameter: Array
+    by_start: Array
+    by_delay: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Matrices of a step: x[k+1] = Phi x[k] + Gamma [v; v'], and the rows of all channels of [x; v; v'] with their rates."""
+
+    Phi: Array
+    Gamma: Array
+    rows: Array
+    rates: Array
+
+    def __sub__(self, other: "_Step") -> "_Step":
+        return _Step(*(getattr(self, name) - getattr(other, name) for name in ("Phi", "Gamma", "rows", "rates")))
+
+    def __truediv__(self, number: float) -> "_Step":
+        return _Step(self.Phi / number, self.Gamma / number, self.rows / number, self.rates / number)
+
+
+class LogPrediction:
+    """Signals of an experiment for any values of the parameters.
+
+    Args:
+        experiment: the experiment.
+        vehicle: vehicle of given values of parameters, by name.
+    """
+
+    def __init__(self, experiment: Experiment, vehicle: Callable[[Mapping[str, float]], Vehicle]) -> None:
+        self.experiment = experiment
+        self._vehicle = vehicle
+
+    def vehicle(self, values: Mapping[str, float]) -> Vehicle:
+        """Returns the vehicle as it is in this experiment, with what it carries."""
+        one = self._vehicle(values)
+        return one.altered({name: one.parameters[name] + more for name, more in self.experiment.added.items()})
+
+    @cached_property
+    def _inputs(self) -> Array:
+        """Inputs at the samples and their rates over the steps from there, shape (T, 2 v)."""
+        held = np.hstack([self.experiment.road, self.experiment.forces])
+        rates = np.diff(held, axis=0, append=held[-1:]) / self.experiment.step
+        if self.experiment.forces_held:
+            rates[:, self.experiment.road.shape[1] :] = 0.0
+        return np.hstack([held, rates])
+
+    @cached_property
+    def _at_samples(self) -> Array:
+        """The same with the mean rate of the steps before and after: of a smooth road that is the rate at the sample."""
+        held, rates = np.hsplit(self._inputs, 2)
+        return np.hstack([held, (rates + np.vstack([rates[:1], rates[:-1]])) / 2])
+
+    def states(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Returns the names of the states that an unknown start has."""
+        names = self.vehicle(values).linear_model.states
+        return tuple(name for name in names if not (self.experiment.hubs and name.startswith(TYRE)))
+
+    def __call__(
+        self,
+        values: Mapping[str, float],
+        free: Mapping[str, float],
+        start: Array | None,
+        delays: Sequence[float],
+        derivatives: bool = True,
+    ) -> PredictedSignals:
+        """Returns predicted signals.
+
+        Args:
+            values: values of all parameters [SI].
+            free: size of each of p parameters by which the signals are differentiated, by name.
+            start: state at the start, shape (n,); None for rest.
+            delays: delay of each channel [s].
+            derivatives: False to leave the derivatives empty.
+        """
+        if self.vehicle(values).parts.nonlinear:
+            return self._stepped(values, free, start, delays, derivatives)
+        step = self._step(values, delays)
+        n, inputs = len(step.Phi), self._inputs
+        first = np.zeros(n) if start is None else start
+        x = recursion(step.Phi, inputs @ step.Gamma.T, first)
+        value = self._read(step.rows, x, inputs, delays)
+        none = np.zeros((0, *value.shape))
+        if not derivatives:
+            return PredictedSignals(value, none, none, np.zeros_like(value))
+        by_parameter, by_start = np.zeros((len(free), *value.shape)), none
+        for i, (name, size) in enumerate(free.items()):
+            one = self._by_parameter(values, name, size, delays)
+            dx = recursion(step.Phi, x @ one.Phi.T + inputs @ one.Gamma.T)
+            by_parameter[i] = self._read(one.rows, x, inputs, delays) + self._read(step.rows, dx, None, delays)
+        if start is not None:
+            by_start = np.zeros((n, *value.shape))
+            for i in range(n):  # the response to a start without input
+                free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
+                by_start[i] = self._read(step.rows, free_motion, None, delays)
+        return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
+
+    def _read(self, rows: Array, x: Array, inputs: Array | None, delays: Sequence[float]) -> Array:
+        """Returns what each channel reads at each sample, by its row of [x; v; v'] at the sample before its delayed time.
+
+        Args:
+            rows: shape (q, n + 2 v).
+            x: states, shape (T, n).
+            inputs: inputs and their rates, shape (T, 2 v); None for none.
+        """
+        h, n, values = self.experiment.step, x.shape[1], np.empty((len(x), len(rows)))
+        for i, (row, delay) in enumerate(zip(rows, delays, strict=True)):
+            before = math.ceil(delay / h - 1e-9)
+            column = x @ row[:n]
+            if inputs is not None:
+                column += (self._at_samples if abs(before * h - delay) <= 1e-9 * h else inputs) @ row[n:]
+            values[:before, i], values[before:, i] = np.nan, column[: len(column) - before]
+        return values
+
+    def _step(self, values: Mapping[str, float], delays: Sequence[float]) -> _Step:
+        A, Bv, Bd, C, Dv, Dd = continuous_model(self.vehicle(values), self.experiment)
+        n, v, h = len(A), Bv.shape[1], self.experiment.step
+        M = np.zeros((n + 2 * v, n + 2 * v))
+        M[:n] = np.hstack([A, Bv, Bd])
+        M[n : n + v, n + v :] = np.eye(v)
+        whole, direct = linalg.expm(M * h), np.hstack([C, Dv, Dd])
+        rows, rates = np.empty_like(direct), np.empty_like(direct)
+        for i, delay in enumerate(delays):
+            within = math.ceil(delay / h - 1e-9) * h - delay  # time after the sample before
+            at = linalg.expm(M * within) if within > 1e-9 * h else np.eye(len(M))
+            rows[i] = direct[i] @ at
+            rates[i] = direct[i] @ M @ at
+        return _Step(whole[:n, :n], whole[:n, n:], rows, rates)
+
+    def _by_parameter(self, values: Mapping[str, float], name: str, size: float, delays: Sequence[float]) -> _Step:
+        ahead, behind = _both_sides(values, name, DIFFERENCE * size)
+        return (self._step(ahead, delays) - self._step(behind, delays)) / (ahead[name] - behind[name])
+
+    def _stepped(
+        self,
+        values: Mapping[str, float],
+        free: Mapping[str, float],
+        start: Array | None,
+        delays: Sequence[float],
+        derivatives: bool,
+    ) -> PredictedSignals:
+        value = self._stepped_signals(values, start, delays)
+        empty = np.zeros((0, *value.shape))
+        if not derivatives:
+            return PredictedSignals(value, empty, empty, np.zeros_like(value))
+        by_parameter = list[Array]()
+        for name, size in free.items():
+            ahead, behind = _both_sides(values, name, STEPPED_DIFFERENCE * size)
+            moved = [self._stepped_signals(one, start, delays) for one in (ahead, behind)]
+            by_parameter.append((moved[0] - moved[1]) / (ahead[name] - behind[name]))
+        by_start = []
+        if start is not None:
+            scales = 1e-3 * np.maximum(
+                np.abs(start), np.where([HUB in s or "velocity" in s for s in self.states(values)], 0.1, 0.01)
+            )
+            for i, scale in enumerate(scales):
+                moved = [np.where(np.arange(len(start)) == i, start + sign * scale, start) for sign in (1, -1)]
+                ahead, behind = (self._stepped_signals(values, one, delays) for one in moved)
+                by_start.append((ahead - behind) / (2 * scale))
+        rate = np.gradient(value, self.experiment.step, axis=0)
+        return PredictedSignals(
+            value, np.stack(by_parameter) if free else empty, np.stack(by_start) if by_start else empty, -rate
+        )
+
+    def _stepped_signals(self, values: Mapping[str, float], start: Array | None, delays: Sequence[float]) -> Array:
+        from models.roads.rig import Rig
+        from models.roads.road import RoadInput
+        from sim.linear.stepped import forced_run
+
+        one, vehicle = self.experiment, self.vehicle(values)
+        if one.hubs:
+            raise InputError("an unknown road needs straight springs and dampers; give the road, or a vehicle without tables")
+        posts = tuple(wheel.road_displacement for wheel in vehicle.kind.wheels)
+        if start is not None:
+            vehicle = replace(vehicle, start=dict(zip(vehicle.linear_model.states, start.tolist(), strict=True)))
+        time = one.step * np.arange(len(one.road))
+        road = RoadInput(vehicle, Rig(time, one.road, posts), time)
+        response = forced_run(one.forces, road).response
+        each = [response[name][0] for name in one.signals]
+        for i, delay in enumerate(delays):
+            if delay:
+                each[i] = np.interp(time - delay, time, each[i], left=np.nan)
+        return np.stack(each, axis=-1)
+
+
+def _both_sides(values: Mapping[str, float], name: str, step: float) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns the parameters with one of them larger and smaller by a step, but not below zero."""
+    return {**values, name: values[name] + step}, {**values, name: max(values[name] - step, 0.0)}
+
+
+def continuous_model(vehicle: Vehicle, experiment: Experiment) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Returns A, Bv, Bd, C, Dv, Dd of an experiment: see the head of this module.
+
+    If the road is unknown, the inputs are accelerations of the hubs instead of heights, and there are no tyres.
+
+    Raises:
+        InputError: the road is unknown, and an inerter couples the hubs with the body.
+    """
+    model = vehicle.linear_model
+    rows = [model.outputs.index(name) for name in experiment.signals]
+    r, m = len(model.disturbances), len(model.inputs)
+    Bv, Bd = np.hstack([model.Br, model.B]), np.hstack([model.Bw, np.zeros((len(model.A), m))])
+    C, Dv, Dd = model.C[rows], np.hstack([model.Cr, model.D])[rows], np.hstack([model.Dw, np.zeros((len(model.C), m))])[rows]
+    if not experiment.hubs:
+        return model.A, Bv, Bd, C, Dv, Dd
+    if vehicle.inertial:
+        raise InputError("an unknown road cannot be combined with an inerter; give the road, or fix the inerter in another log")
+    hubs = [i for i, name in enumerate(model.states) if name.startswith(HUB)]
+    kept = [i for i, name in enumerate(model.states) if not name.startswith(TYRE)]
+    A, B = model.A.copy(), np.hstack([np.zeros((len(model.A), r)), model.B])
+    A[hubs], B[hubs] = 0.0, 0.0
+    B[hubs, range(r)] = 1.0
+    return A[np.ix_(kept, kept)], B[kept], np.zeros((len(kept), r + m)), C[:, kept], np.hstack([0 * Dv[:, :r], Dv[:, r:]]), 0 * Dd

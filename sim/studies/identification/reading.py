@@ -1,0 +1,282 @@
+"""Experiments from the files of logs: columns as signals, stretches of equidistant samples, and samples that do not count."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, error_in, list_names
+from models.common.extensions import FEATURES
+from models.common.logs.measured_log import MeasuredLog, read_measured_log
+from models.common.printed import brief, percent, rough
+from models.vehicle.vehicle import Vehicle
+from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.log_map import FLAT, HELD, REST, ROADS, UNKNOWN, LogKeys, LogMap, SensorSection
+
+GAP = 5  # steps without a sample, beyond which a new stretch begins with a state of its own
+LEAST = 50  # samples of a stretch
+FROZEN = 12  # equal values in a row of a sensor that otherwise changes from sample to sample: a block that was not measured
+CLIPPED = 3  # equal values in a row at a signal's largest or smallest value
+JITTER = 0.02  # of a step: times that deviate more are not equidistant
+COARSE = 0.5  # share of the road's motion within half the Nyquist frequency that is needed
+DEEP = 1.0  # m: a suspension does not move further
+
+
+@dataclass(frozen=True, eq=False)
+class LogStretches:
+    """Experiments of a log, and remarks on it."""
+
+    experiments: tuple[Experiment, ...]
+    remarks: tuple[str, ...]
+
+
+def read_experiments(path: Path, vehicle: Vehicle, log_map: LogMap) -> LogStretches:
+    """Reads a log: a table (.csv, .txt, .lvm, .mat, .xlsx, .parquet), or a log of ours.
+
+    Raises:
+        InputError: the log cannot be read, lacks what the map asks for, or cannot be right.
+    """
+    keys, sensors = log_map.of(path), log_map.sensors
+    units = {name: one.unit for name, one in vehicle.kind.possible.items()}
+    columns = {name: one.column for name, one in sensors.items() if one.column}
+    own = path.suffix.lower() == ".mcap" and not columns
+    log = _own_log(path, units) if own else read_measured_log(path, units, keys.rate or None, columns)
+    if not own:
+        sensors = {name: sensors.get(name, SensorSection()) for name in log.signals}
+        log = replace(log, signals={name: sensors[name].sign * values for name, values in log.signals.items()})
+    else:
+        sensors = {name: replace(sensors.get(name, SensorSection()), offset=0.0) for name in log.signals}
+        keys = replace(keys, forces=HELD)  # a controller's computer holds them over a step
+    with error_in(f"log {path}:"):
+        return _stretches(log, vehicle, keys, sensors)
+
+
+def _own_log(path: Path, units: Mapping[str, str]) -> MeasuredLog:
+    """Returns MuJoCo's signals of a log that bump or drive wrote: those that a sensor could measure, road and forces."""
+    recorded = FEATURES.load("recorded logs")
+    log = recorded.read_log(path)
+    run = log.runs[-1]
+    samples = run.responses[recorded.MUJOCO]
+    time = (samples.times - samples.times[0]) * 1e-9
+    driven = ("road_displacement", "control_force", "suspension_deflection", "sprung_acceleration")
+    signals = {
+        name: values
+        for name, values in zip(samples.names, samples.values.T, strict=True)
+        if name in units and name.startswith(driven)
+    }
+    remarks = [f"the run {run.name!r} is used, of {list_names(one.name for one in log.runs)}"] if len(log.runs) > 1 else []
+    return MeasuredLog(str(path), time, signals, tuple(remarks))
+
+
+def _stretches(log: MeasuredLog, vehicle: Vehicle, keys: LogKeys, sensors: Mapping[str, SensorSection]) -> LogStretches:
+    remarks = list(log.remarks)
+    within = (log.time >= keys.first) & (log.time <= keys.last)
+    if within.sum() < LEAST:
+        raise InputError(f"{int(within.sum())} samples count; at least {LEAST} are needed: change first and last in the map")
+    within[np.flatnonzero(within)[np.arange(within.sum()) % keys.every > 0]] = False
+    time = log.time[within]
+    step, places, more = _grid(time)
+    remarks += more
+    values = {name: np.full(places[-1] + 1, np.nan) for name in log.signals}
+    for name, one in log.signals.items():
+        values[name][places] = one[within]
+    model, kind = vehicle.linear_model, vehicle.kind
+    heights = [wheel.road_displacement for wheel in kind.wheels]
+    driving = {name: values.pop(name) for name in (*heights, *model.inputs) if name in values}
+    for name in [name for name in values if name.startswith("road_velocity")]:
+        values.pop(name)
+        remarks.append(f"{name} is left out: the heights of the road drive the vehicle")
+    hubs = keys.road == UNKNOWN
+    if hubs:
+        heights = [f"unsprung_acceleration{wheel.road_displacement.removeprefix('road_displacement')}" for wheel in kind.wheels]
+        driving |= {name: values.pop(name) for name in heights if name in values}
+    count = places[-1] + 1
+    road, origin = _road(keys, vehicle, driving, heights, time[0] + step * np.arange(count))
+    forces = np.stack([driving.get(name, np.zeros(count)) for name in model.inputs], axis=-1)
+    if not values:
+        raise InputError(f"no measured signal; give a column of one of {list_names(model.outputs[:6])}")
+    unknown = [name for name in values if name not in model.outputs]
+    if unknown:
+        raise InputError(f"{list_names(unknown)} cannot be compared; omit it")
+    for name in list(values):
+        values[name], more = _counted(name, values[name], kind.possible[name].unit)
+        remarks += more
+        if np.isfinite(values[name]).sum() < LEAST:
+            remarks.append(f"{name} is left out: fewer than {LEAST} of its samples count")
+            values.pop(name)
+    inputs, more = _filled(np.hstack([road, forces]), [*heights, *model.inputs])
+    remarks += more + _slow(inputs[:, : len(heights)], step, hubs)
+    experiments = list[Experiment]()
+    for first, last in _runs(np.asarray(np.isfinite(inputs).all(axis=1))):
+        if last - first < LEAST:
+            continue
+        channels = tuple(_channel(name, values[name][first:last], sensors[name]) for name in values)
+        channels = tuple(one for one in channels if one.counted.any())
+        if not channels:
+            continue
+        name = Path(log.source).name
+        rest = keys.start == REST and not first
+        datum = inputs[first, : len(heights)] if not hubs and not origin else 0.0
+        experiments.append(
+            Experiment(
+                name,
+                step,
+                inputs[first:last, : len(heights)] - datum,
+                inputs[first:last, len(heights) :],
+                channels,
+                keys.added,
+                rest,
+                hubs,
+                keys.forces == HELD,
+                float(time[0] + step * first),
+            )
+        )
+    if not experiments:
+        raise InputError(f"no stretch of {LEAST} samples without a gap in the road or the forces")
+    if len(experiments) > 1:
+        names = (f"{one.name}, {rough(one.start)} s" for one in experiments)
+        experiments = [replace(one, name=name) for one, name in zip(experiments, names, strict=True)]
+        remarks.append(f"gaps divide the log into {len(experiments)} stretches, each with a state of its own at its start")
+    return LogStretches(tuple(experiments), tuple(f"{Path(log.source).name}: {one}" for one in remarks))
+
+
+def _channel(name: str, values: Array, of: SensorSection) -> Channel:
+    shifted = values if of.offset is None else values - of.offset
+    return Channel(name, shifted, of.noise, of.delay or 0.0, of.delay is None, of.offset is None)
+
+
+def _grid(time: Array) -> tuple[float, Array, list[str]]:
+    """Returns the step of equidistant times, the place of each sample among them, and remarks on times that are not."""
+    diffs = np.diff(time)
+    usual = float(np.median(diffs))
+    places = np.concatenate([[0], np.cumsum(np.maximum(np.round(diffs / usual), 1))]).astype(int)
+    # The step is that of a straight line through all times, as rounded times have no exact step by themselves.
+    step = usual
+    for _ in range(3):
+        step = float(np.polyfit(places, time - time[0], 1)[0])
+        again = np.round((time - time[0]) / step).astype(int)
+        if np.all(np.diff(again) >= 1):
+            places = again - again[0]
+    deviation = float(np.abs(time - time[0] - step * places - np.median(time - time[0] - step * places)).max()) / step
+    missing = int(places[-1] + 1 - len(places))
+    remarks = []
+    if deviation > JITTER:
+        rounded = len(np.unique(np.round(diffs, 9))) <= 5
+        remarks.append(
+            f"times deviate by up to {percent(deviation)} of the step of {rough(1e3 * step)} ms from equidistant ones"
+            f"{'; they look rounded' * rounded}: samples count as equidistant, which is an error of phase"
+        )
+    if missing:
+        remarks.append(f"{missing} samples are missing, of {places[-1] + 1}")
+    return step, places, remarks
+
+
+def _road(keys: LogKeys, vehicle: Vehicle, driving: Mapping[str, Array], names: Sequence[str], time: Array) -> tuple[Array, bool]:
+    """Returns heights under the wheels, or accelerations of the hubs, shape (T, r), and True if they are measured from zero."""
+    if keys.road == FLAT:
+        return np.zeros((len(time), len(names))), True
+    if keys.road in ROADS:
+        missing = [name for name in names if name not in driving]
+        if missing:
+            what = "hub accelerations drive the vehicle, but" if keys.road == UNKNOWN else 'road = "logged", but'
+            raise InputError(
+                f"{what} no column is {list_names(missing)}; add it to the map, or give another road: flat, unknown, or a file"
+            )
+        return np.stack([driving[name] for name in names], axis=-1), False
+    from models.roads.choice import choose_road
+    from models.roads.road import RoadInput
+
+    road = choose_road(keys.road).build(vehicle, keys.speed, 0, keys.speed * float(time[-1] - time[0]) + 1.0)
+    return RoadInput(vehicle, road, time - time[0]).heights, True
+
+
+def _counted(name: str, values: Array, unit: str) -> tuple[Array, list[str]]:
+    """Returns a signal without samples of blocks that were not measured, and without clipped ones, with remarks.
+
+    Raises:
+        InputError: the values cannot be in that unit.
+    """
+    remarks, counted = list[str](), np.isfinite(values)
+    finite = values[counted]
+    if unit == "m" and len(finite) and np.abs(finite - np.median(finite)).max() > DEEP:
+        raise InputError(
+            f"{name} moves by {np.abs(finite - np.median(finite)).max():.4g} m; if the column is in mm, write its unit in the "
+            'map, as in column = "HEADING [mm]"'
+        )
+    if len(finite) < 2 or np.ptp(finite) == 0:
+        return np.full_like(values, np.nan), [f"{name} is constant, and does not count"]
+    same = np.concatenate([[False], (np.diff(values) == 0)])
+    lengths = _lengths(same)
+    usual = float(np.mean(same[counted]))
+    if usual < 0.2:
+        frozen = _blocks(lengths, FROZEN)
+        if frozen.any():
+            remarks.append(f"{name} is frozen for {int(frozen.sum())} samples in a row or more, which do not count")
+            values = np.where(frozen, np.nan, values)
+        for extreme, word in ((np.nanmax(values), "largest"), (np.nanmin(values), "smallest")):
+            clipped = _blocks(np.where(values == extreme, lengths, 0), CLIPPED)
+            if clipped.sum() >= 2 * CLIPPED:
+                remarks.append(
+                    f"{name} is clipped at its {word} value {rough(extreme)} {unit}: {int(clipped.sum())} samples do not count"
+                )
+                values = np.where(clipped, np.nan, values)
+    else:
+        remarks.append(f"{name} keeps its value in {percent(usual)} of the samples: its resolution is coarse")
+    return values, remarks
+
+
+def _lengths(same: Array) -> Array:
+    """Returns the length of the run of equal values that ends at each sample."""
+    lengths = np.ones(len(same), dtype=int)
+    for i in np.flatnonzero(same):
+        lengths[i] = lengths[i - 1] + 1
+    return lengths
+
+
+def _blocks(lengths: Array, least: int) -> Array:
+    """Returns True for the samples of runs of at least that length."""
+    blocks = np.zeros(len(lengths), dtype=bool)
+    for end in np.flatnonzero(lengths >= least):
+        blocks[end - lengths[end] + 1 : end + 1] = True
+    return blocks
+
+
+def _filled(inputs: Array, names: Sequence[str]) -> tuple[Array, list[str]]:
+    """Returns inputs whose short gaps are filled by straight lines, with a remark."""
+    filled, remarks = inputs.copy(), list[str]()
+    for column, name in zip(filled.T, names, strict=True):
+        missing = ~np.isfinite(column)
+        if not missing.any() or missing.all():
+            continue
+        number = 0
+        for first, last in _runs(missing):
+            if last - first < GAP and first > 0 and last < len(column):
+                column[first:last] = np.interp(np.arange(first, last), [first - 1, last], [column[first - 1], column[last]])
+                number += last - first
+        if number:
+            remarks.append(f"{number} missing samples of {name} follow straight lines")
+    return filled, remarks
+
+
+def _runs(true: Array) -> list[tuple[int, int]]:
+    """Returns first and last + 1 of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _slow(road: Array, step: float, hubs: bool) -> list[str]:
+    """Returns a remark if most of the road's motion is too fast for the sampling."""
+    if hubs or not np.ptp(np.nan_to_num(road)):
+        return []
+    velocity = np.diff(np.nan_to_num(road), axis=0)
+    power = np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2
+    slow = power[: max(1, math.ceil(len(power) / 2))].sum() / max(power.sum(), 1e-300)
+    if slow >= COARSE:
+        return []
+    return [
+        f"the log is sampled at {rough(1 / step)} Hz, but most of the road's motion is faster than {brief(0.25 / step)} Hz: the "
+        "road between samples is not known, and the result is biased"
+    ]

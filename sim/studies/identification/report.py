@@ -1,0 +1,292 @@
+"""An identification as a document, as a record and as a vehicle file."""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.errors import list_names
+from models.common.files import parse_toml
+from models.common.printed import digits, entry, finite, percent, rough
+from models.common.toml_edit import Replacement, section_lines, with_replacements
+from models.document.document import Document, Statement, Table, notes
+from models.document.field import Field, Record, at_most
+from models.document.figure import Curve, Figure, Panel
+from models.document.outputs import IDENTIFIED
+from models.vehicle.in_place import with_sections
+from sim.studies.identification.allowed import ALLOWED, WORST_BOUND, AllowedResult
+from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.identification import Identification
+from sim.studies.identification.plan import PLANS, Plan
+
+SCALE = (
+    "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
+    "a known payload, or a measured force"
+)
+SHARE = Field[float]("deviation", float, ".2g", 100, unit="%")
+MOST_POINTS = 2000  # of a curve
+SECTION = "identified"
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """A parameter in the table: its value, first value and interval, or the reason for which it has none."""
+
+    name: str
+    unit: str
+    first: float
+    value: float | None
+    low: float | None
+    high: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    """A sensor in an experiment: its fit, noise, delay and whiteness."""
+
+    experiment: str
+    signal: str
+    unit: str
+    fit: float
+    noise: float
+    delay: float
+    delay_deviation: float | None
+    probability: float
+    outside: float
+
+
+NAME = Field[ParameterRow]("parameter", lambda row: row.name, key="name")
+UNIT = Field[ParameterRow]("unit", lambda row: row.unit, key="unit")
+FIRST = Field[ParameterRow]("first", lambda row: row.first, ".5g", key="first")
+VALUE = Field[ParameterRow]("value", lambda row: row.value, ".5g", key="value")
+LOW = Field[ParameterRow]("95 % from", lambda row: row.low, ".5g", key="low")
+HIGH = Field[ParameterRow]("to", lambda row: row.high, ".5g", key="high")
+NOTE = Field[ParameterRow]("note", lambda row: row.note, key="note")
+PARAMETERS = (NAME, UNIT, FIRST, VALUE, LOW, HIGH, NOTE)
+FIT = Field[SensorRow]("fit", lambda row: row.fit, ".1f", 100, key="fit", unit="%")
+NOISE = Field[SensorRow]("noise rms", lambda row: row.noise, ".3g", key="noise")
+DELAY = Field[SensorRow]("delay", lambda row: row.delay, ".3g", 1e3, key="delay", unit="ms")
+WHITE = Field[SensorRow]("white: p", lambda row: row.probability, ".2g", key="probability")
+SENSORS = (
+    Field[SensorRow]("experiment", lambda row: row.experiment, key="experiment"),
+    Field[SensorRow]("signal", lambda row: row.signal, key="signal"),
+    Field[SensorRow]("unit", lambda row: row.unit, key="unit"),
+    FIT,
+    NOISE,
+    DELAY,
+    WHITE,
+    Field[SensorRow]("outside", lambda row: row.outside, ".0f", 100, key="outside", unit="%", detail="full"),
+)
+PARAMETER_RECORD, SENSOR_RECORD = Record[ParameterRow](*PARAMETERS), Record[SensorRow](*SENSORS)
+
+
+def parameter_rows(of: Identification) -> list[ParameterRow]:
+    """Returns all parameters that were free."""
+    estimate, rows = of.estimate, list[ParameterRow]()
+    units = {one.name: one.unit for one in of.vehicle.kind.parameters}
+    for name in estimate.problem.first:
+        first, unit = estimate.problem.first[name], units.get(name, "")
+        if name in of.intervals:
+            one = of.intervals[name]
+            ends = ", open below" * (one.low is None) + ", open above" * (one.high is None)
+            rows.append(ParameterRow(name, unit, first, estimate.values[name], one.low, one.high, one.method + ends))
+        elif name in estimate.held:
+            rows.append(ParameterRow(name, unit, first, None, None, None, "not determined: see the products"))
+        elif name in estimate.silent:
+            rows.append(ParameterRow(name, unit, first, None, None, None, "no signal feels it"))
+        else:
+            rows.append(ParameterRow(name, unit, first, None, None, None, f"only {product_words(estimate.ratios[name])}"))
+    return rows
+
+
+def product_words(powers: Mapping[str, float]) -> str:
+    """Returns a product of powers in words, as in unsprung_mass / sprung_mass."""
+    above = [_power(name, power) for name, power in powers.items() if power > 0]
+    below = [_power(name, -power) for name, power in powers.items() if power < 0]
+    return " ".join(above or ["1"]) + "".join(f" / {one}" for one in below)
+
+
+def _power(name: str, power: float) -> str:
+    return name if power == 1 else f"{name}^{rough(power)}"
+
+
+def sensor_rows(of: Identification) -> list[SensorRow]:
+    """Returns all sensors of all experiments."""
+    estimate, rows = of.estimate, list[SensorRow]()
+    p, kind = len(estimate.free), of.vehicle.kind
+    R, _ = estimate.residuals.reduced(estimate.x, estimate.noise)
+    spread = np.linalg.pinv(R.T @ R)
+    own = {name: float(np.sqrt(spread[p + i, p + i])) for i, name in enumerate(estimate.delays)}
+    for one, fits, tests in zip(estimate.problem.experiments, estimate.fits, estimate.whiteness, strict=True):
+        for channel in one.channels:
+            name, test = channel.signal, tests[channel.signal]
+            delay = estimate.delays.get(name, channel.delay)
+            unit = kind.possible[name].unit
+            rows.append(
+                SensorRow(
+                    one.name, name, unit, fits[name], estimate.noise[name], delay, own.get(name), test.probability, test.outside
+                )
+            )
+    return rows
+
+
+def products(of: Estimate) -> Iterator[tuple[str, float, float, float]]:
+    """Yields what the logs determine instead of parameters alone: products in words, values and 95 % intervals."""
+    for powers in of.ratios.values():
+        if len(powers) > 1:
+            value, deviation = of.combination(powers)
+            width = 1.959963984540054 * deviation
+            yield product_words(powers), value, value * float(np.exp(-width)), value * float(np.exp(width))
+
+
+Product = tuple[str, float, float, float]
+PRODUCTS = (
+    Field[Product]("product", lambda row: row[0]),
+    Field[Product]("value [SI]", lambda row: row[1], ".5g"),
+    Field[Product]("95 % from", lambda row: row[2], ".5g"),
+    Field[Product]("to", lambda row: row[3], ".5g"),
+)
+
+
+def statements(of: Identification) -> Iterator[Statement]:
+    """Yields what the estimate is worth, and what it does not know."""
+    estimate = of.estimate
+    if estimate.directions:
+        scale = [one for one in estimate.directions if {round(abs(power), 6) for power in one.powers.values()} == {1.0}]
+        yield Statement(
+            f"The logs do not determine {list_names(estimate.held)} with all others: {SCALE}."
+            if scale
+            else f"The logs do not determine {list_names(estimate.held)} with all others; fix one, or measure another signal.",
+            "ends",
+        )
+    for name in estimate.silent:
+        yield Statement(f"No signal feels {name}; it keeps its first value.", "ends")
+    for name in estimate.undetermined:
+        if name in of.intervals:
+            yield Statement(f"{name} is not determined in practice: its interval is wider than a factor of 7 each way.", "ends")
+    if of.mirror:
+        values = ", ".join(f"{name} {entry(of.mirror[name])}" for name in of.mirror if name in estimate.free)
+        yield Statement(
+            f"Another vehicle fits as well: {values}. These signals cannot tell suspension and tyre apart; measure the hub.",
+            "ends",
+        )
+    if estimate.white:
+        yield Statement("The residuals are white: the vehicle explains all that the sensors show beyond their noise.", "holds")
+    else:
+        yield Statement(
+            "The residuals are not white: the vehicle lacks something that the logs contain. Intervals count the residuals as "
+            "coloured, but cannot count a bias.",
+            "fails",
+        )
+    for cause in of.causes[:3]:
+        yield Statement(f"The residuals contain {cause.words}, which explains {percent(cause.share)} of their squares.", "ends")
+
+
+def describe(of: Identification) -> Document:
+    """Describes an identification: parameters with intervals, sensors, and what the logs do not determine."""
+    rows, ratios = parameter_rows(of), list(products(of.estimate))
+    caption = "values and 95 % intervals of the free parameters"
+    blocks: list[Any] = [Table.of("parameters", caption, PARAMETERS, rows, words=2)]
+    if ratios:
+        blocks.append(Table.of("products", "what the logs determine instead", PRODUCTS, ratios))
+    caption = "fit: share of a signal's rms that the vehicle explains; p below 0.001: residuals are not white"
+    blocks.append(Table.of("sensors", caption, SENSORS, sensor_rows(of), words=3))
+    blocks += [*statements(of)]
+    for name, fits in of.held_out:
+        text = ", ".join(f"{signal} {rough(100 * fit)} %" for signal, fit in fits.items())
+        blocks.append(Statement(f"Hold-out log {name}: fit of {text}."))
+    if of.in_mujoco:
+        worst = max(of.in_mujoco, key=lambda name: of.in_mujoco[name])
+        blocks.append(
+            Statement(f"MuJoCo differs from the prediction by at most {at_most(of.in_mujoco[worst])} of a peak ({worst}).")
+        )
+    if of.allowed:
+        caption = f"controllers on {of.allowed[0].vehicles} vehicles: the estimate, and the ends of the axes of the 95 % ellipse"
+        blocks.append(Table.of("controllers", caption, ALLOWED, of.allowed))
+        for one in of.allowed:
+            if one.worst_bound is not None:
+                blocks.append(
+                    Statement(
+                        f"`{one.name}` has a proved norm below {WORST_BOUND.digits(one.worst_bound)} on each of these.", "holds"
+                    )
+                )
+    blocks += notes(*of.remarks)
+    return Document("Identification", tuple(blocks))
+
+
+def describe_plans(each: Sequence[Plan]) -> Document:
+    """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
+    best = each[0]
+    rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
+    caption = "chirps of a rig's posts, with the largest relative standard deviation of a parameter"
+    return Document("Plan", (Table.of("plans", caption, PLANS, each), *notes(f"The first chirp determines: {', '.join(rows)}.")))
+
+
+def record(of: Identification) -> dict[str, Any]:
+    """Returns an identification as a JSON object."""
+    estimate = of.estimate
+    return {
+        "parameters": [PARAMETER_RECORD(row) for row in parameter_rows(of)],
+        "products": [
+            {"product": words, "value": value, "low": low, "high": high} for words, value, low, high in products(estimate)
+        ],
+        "correlations": _correlations(estimate),
+        "sensors": [SENSOR_RECORD(row) for row in sensor_rows(of)],
+        "white": estimate.white,
+        "causes": [{"words": one.words, "share": one.share, "deviations": finite(one.deviations)} for one in of.causes],
+        "mirror": dict(of.mirror),
+        "hold_out": [{"experiment": name, "fits": dict(fits)} for name, fits in of.held_out],
+        "in_mujoco": dict(of.in_mujoco),
+        "controllers": [Record[AllowedResult](*ALLOWED)(one) for one in of.allowed],
+        "remarks": list(of.remarks),
+    }
+
+
+def _correlations(of: Estimate) -> dict[str, dict[str, float]]:
+    deviations = np.sqrt(np.diag(of.spread))
+    matrix = of.spread / np.outer(deviations, deviations)
+    rows = ({name: round(float(value), 4) for name, value in zip(of.free, row, strict=True)} for row in matrix)
+    return dict(zip(of.free, rows, strict=True))
+
+
+def figure(of: Identification) -> Figure:
+    """Returns measured over predicted signals of the first experiment, and their residuals."""
+    estimate = of.estimate
+    one, predicted = estimate.problem.experiments[0], estimate.predicted[0]
+    every = slice(None, None, max(1, len(one.road) // MOST_POINTS))
+    panels = []
+    for channel, values in zip(one.channels, predicted.T, strict=True):
+        unit = of.vehicle.kind.possible[channel.signal].unit
+        curves = (
+            Curve(one.time[every], channel.values[every], "measured", "#9a9a9a", "none", "o"),
+            Curve(one.time[every], values[every], "identified vehicle", "#0b5fa5"),
+        )
+        panels.append(Panel(channel.signal, "time [s]", f"[{unit}]", curves))
+    return Figure("identification", f"Measured signals of {one.name} and the identified vehicle.", tuple(panels), columns=1)
+
+
+def vehicle_text(of: Identification, logs: Sequence[Path]) -> str:
+    """Returns the vehicle file with the identified values and a section on where they come from."""
+    vehicle, estimate = of.vehicle, of.estimate
+    start, rows = estimate.problem.vehicle, parameter_rows(of)
+    tables = [name for name in vehicle.curves if name in estimate.values]
+    written = parse_toml(start.text)["parameters"]
+    values = {name: float(digits(estimate.values[name])) for name in estimate.free if name not in tables}
+    replaced = [Replacement(("parameters", name), {name: value}) for name, value in values.items() if name in written]
+    text = with_replacements(start.text, replaced)
+    intervals = {row.name: [row.low or 0.0, row.high or 0.0] for row in rows if row.value is not None}
+    held = {name: "not determined: the logs give only its products with others" for name in estimate.held}
+    held |= {name: "no signal feels it" for name in estimate.silent}
+    content: dict[str, Any] = {
+        "intervals": intervals,
+        "fixed": held,
+        "correlations": _correlations(estimate),
+        "white": estimate.white,
+        "logs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in logs},
+    }
+    return with_sections(text, section_lines((SECTION,), content, IDENTIFIED))

@@ -1,0 +1,101 @@
+"""Whiteness of residuals: their autocorrelation, the test of Ljung and Box, and an autoregressive model of coloured ones."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+
+LAGS = 25  # of the tests
+LEAST = 0.001  # probability below which residuals are not white
+MOST_ORDER = 40  # of the autoregressive model
+
+
+@dataclass(frozen=True, eq=False)
+class Whiteness:
+    """Whiteness of residuals.
+
+    Attributes:
+        correlations: autocorrelation from lag 1 on, shape (LAGS,).
+        bound: 95 % of white residuals' correlations lie within +- this.
+        outside: share of the correlations beyond.
+        probability: probability of such correlations or larger ones if the residuals are white (Ljung and Box, 1978).
+        samples: number of residuals.
+    """
+
+    correlations: Array
+    bound: float
+    outside: float
+    probability: float
+    samples: int
+
+    @property
+    def white(self) -> bool:
+        """True if the residuals are white as far as the test shows."""
+        return self.probability >= LEAST
+
+
+def covariances(values: Array, lags: int) -> tuple[Array, Array]:
+    """Returns the autocovariances at lags 0 to `lags` and the numbers of pairs, without pairs that have a missing value."""
+    counted = np.isfinite(values)
+    filled = np.where(counted, values, 0.0)
+    size = 1 << (2 * len(values) - 1).bit_length()
+    own, pairs = (np.fft.rfft(one, size) for one in (filled, counted.astype(float)))
+    sums = np.fft.irfft(np.abs(own) ** 2, size)[: lags + 1]
+    counts = np.maximum(np.round(np.fft.irfft(np.abs(pairs) ** 2, size)[: lags + 1]), 1.0)
+    return sums / counts, counts
+
+
+def whiteness(values: Array) -> Whiteness:
+    """Tests residuals, shape (T,); NaN for a missing one."""
+    from scipy.special import chdtrc
+
+    n = int(np.isfinite(values).sum())
+    lags = max(1, min(LAGS, n // 4))
+    covariance, counts = covariances(values - np.nanmean(values), lags)
+    correlations = covariance[1:] / max(covariance[0], np.finfo(float).tiny)
+    statistic = (n + 2) * float(np.sum(counts[1:] / n * correlations**2 * n / np.maximum(n - np.arange(1, lags + 1), 1)))
+    bound = 1.96 / np.sqrt(n)
+    return Whiteness(correlations, bound, float(np.mean(np.abs(correlations) > bound)), float(chdtrc(lags, statistic)), n)
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregressive:
+    """Residuals as e[k] + a1 e[k-1] + ... = w[k] with white w.
+
+    Attributes:
+        coefficients: 1, a1, a2, ..., shape (order + 1,).
+        deviation: rms of w.
+    """
+
+    coefficients: Array
+    deviation: float
+
+    def sandwich(self, columns: Array) -> Array:
+        """Returns J'RJ for columns J, shape (T, p), with the autocovariance R of the residuals."""
+        from scipy.signal import lfilter
+
+        # R = s^2 (A'A)^-1, so J'RJ is that of the columns behind 1/A backwards in time.
+        behind = np.asarray(lfilter([1.0], self.coefficients, columns[::-1], axis=0)) * self.deviation
+        return behind.T @ behind
+
+
+def autoregressive(values: Array) -> Autoregressive:
+    """Returns the autoregressive model of residuals, of the order with the least criterion of Schwarz."""
+    n = int(np.isfinite(values).sum())
+    most = max(0, min(MOST_ORDER, n // 10))
+    covariance, _ = covariances(values, most)
+    # Levinson and Durbin: one order after another.
+    a, error = np.ones(1), float(covariance[0])
+    best, least = (a, error), n * np.log(max(error, 1e-300))
+    for order in range(1, most + 1):
+        reflection = -float(a @ covariance[order:0:-1]) / error
+        a = np.append(a, 0.0)
+        a = a + reflection * a[::-1]
+        error *= 1 - reflection**2
+        if error <= 0:
+            break
+        criterion = n * np.log(error) + order * np.log(n)
+        if criterion < least:
+            best, least = (a, error), criterion
+    return Autoregressive(best[0], float(np.sqrt(best[1])))

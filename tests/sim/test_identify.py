@@ -1,0 +1,351 @@
+"""Identification: its intervals are those of theory and cover, and what logs do not determine, or what is wrong, is named.
+
+Logs are predicted exactly for a vehicle of known parameters, and noise from a seed is added. So every claim is on the estimate.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from scipy.signal import lfilter
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.logs.measured_log import read_measured_log
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.studies.identification.columns import map_text
+from sim.studies.identification.estimate import Estimate, IdentificationProblem, estimate
+from sim.studies.identification.experiment import Channel, Experiment
+from sim.studies.identification.identification import Identification, changed, identify, identify_experiments
+from sim.studies.identification.log_map import LogMap
+from sim.studies.identification.prediction import LogPrediction
+from sim.studies.identification.reading import LogStretches
+from sim.studies.identification.report import statements
+
+BODY, HUB, TRAVEL = "sprung_acceleration", "unsprung_acceleration", "suspension_deflection"
+NOISE = {BODY: 0.1, HUB: 0.5, TRAVEL: 2e-4}  # rms [m/s2, m/s2, m]
+MASS = "sprung_mass"
+# Relative standard deviations [%] of m_u/m_s, k_s/m_s, c_s/m_s and k_t/m_u for the paper's car over `chirp(30)` at 200 Hz: an
+# independent script of 40 lines, with finite differences of an exact simulation.
+RATIOS = (
+    {"unsprung_mass": 1.0, MASS: -1.0},
+    {"suspension_stiffness": 1.0, MASS: -1.0},
+    {"suspension_damping": 1.0, MASS: -1.0},
+    {"tyre_stiffness": 1.0, "unsprung_mass": -1.0},
+)
+CRAMER_RAO = {
+    (BODY,): (1.1157, 0.4366, 1.2224, 0.1341),
+    (HUB,): (34.3442, 34.7693, 33.9434, 0.0791),
+    (TRAVEL,): (0.1792, 0.0248, 0.1427, 0.0165),
+    (BODY, HUB): (0.7041, 0.4089, 0.7405, 0.0419),
+    (BODY, TRAVEL): (0.1764, 0.0247, 0.1408, 0.0163),
+    (BODY, HUB, TRAVEL): (0.1448, 0.0241, 0.1399, 0.0104),
+}
+
+
+def measurable(vehicle: Vehicle) -> Vehicle:
+    """Returns a vehicle whose model has all signals that it can have."""
+    return replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
+
+
+CAR = measurable(read_vehicle("quarter_car"))
+
+
+def chirp(duration: float, step: float = 0.01, amplitude: float = 2e-3, phase: float = 0.0, top: float = 20.0) -> Array:
+    """Returns a height from 0.5 Hz to the top with equal time for each octave, shape (T,), from 0."""
+    t, rate = np.arange(0, duration + step / 2, step), duration / np.log(top / 0.5)
+    return amplitude * (np.sin(np.pi * rate * (np.exp(t / rate) - 1) + phase) - np.sin(phase))
+
+
+def log(
+    truth: Vehicle,
+    signals: Sequence[str],
+    road: Array,
+    seed: int = 0,
+    step: float = 0.01,
+    forces: Array | None = None,
+    noise: Mapping[str, float] = NOISE,
+    known: bool = False,
+    added: Mapping[str, float] = {},
+) -> Experiment:
+    """Returns what sensors of a vehicle measure over a road, with noise; its rms is given to the estimate if it is known."""
+    road = road.reshape(len(road), -1)
+    forces = np.zeros((len(road), len(truth.linear_model.inputs))) if forces is None else forces
+    channels = tuple(Channel(name, np.zeros(len(road)), noise[name] if known else None) for name in signals)
+    empty = Experiment("log", step, road, forces, channels, added, from_rest=True)
+    exact = LogPrediction(empty, lambda _: truth)({}, {}, None, [0.0] * len(signals), False).values
+    random = np.random.default_rng(seed)
+    measured = (values + noise[name] * random.standard_normal(len(road)) for name, values in zip(signals, exact.T, strict=True))
+    return replace(empty, channels=tuple(replace(one, values=each) for one, each in zip(channels, measured, strict=True)))
+
+
+def with_values(experiment: Experiment, **values: Array) -> Experiment:
+    """Returns an experiment with other values of some signals."""
+    channels = (replace(one, values=values.get(one.signal, one.values)) for one in experiment.channels)
+    return replace(experiment, channels=tuple(channels))
+
+
+def identified(
+    experiments: Sequence[Experiment], vehicle: Vehicle = CAR, fix: Sequence[str] = (MASS,), free: Sequence[str] = ()
+) -> Identification:
+    """Returns the identification of a vehicle, whose own values are the first ones."""
+    return identify_experiments([LogStretches(tuple(experiments), ())], vehicle, LogMap(), fix, free)
+
+
+def said(of: Identification) -> str:
+    """Returns all statements, with spaces for line ends."""
+    return " ".join(one.text for one in statements(of))
+
+
+def deviations_off(of: Estimate, truth: Mapping[str, float]) -> Array:
+    """Returns the error of each free parameter in standard deviations."""
+    return np.array([np.log(of.values[name] / truth[name]) / of.deviations[name] for name in of.free])
+
+
+def problem(experiment: Experiment, vehicle: Vehicle = CAR, fix: Sequence[str] = (MASS,)) -> IdentificationProblem:
+    """Returns the problem of one experiment."""
+    first = {name: value for name, value in vehicle.parameters.items() if name not in fix}
+    return IdentificationProblem(vehicle, changed, first, (experiment,))
+
+
+def test_intervals_are_those_of_theory():
+    """For six sets of sensors, standard deviations of the four ratios are those of the table of Cramer and Rao within 5 %.
+
+    One fit has all three sensors. The information of other sets is computed from the derivatives of the same prediction.
+    """
+    experiment = log(CAR, (BODY, HUB, TRAVEL), chirp(30, 0.005), step=0.005, known=True)
+    of = estimate(problem(experiment, fix=()), tuple(CAR.parameters))
+    assert of.held == (MASS,)
+    for sensors, expected in CRAMER_RAO.items():
+        covariance = of.covariance
+        if len(sensors) < 3:
+            columns = [of.residuals.channel_columns(of.x, of.noise, 0, experiment.signals.index(one)) for one in sensors]
+            J = np.concatenate(columns)[:, : len(of.free)]
+            covariance = np.linalg.inv(J.T @ J)
+        for powers, percent in zip(RATIOS, expected, strict=True):
+            weights = np.array([powers.get(name, 0.0) for name in of.free])
+            assert 100 * np.sqrt(weights @ covariance @ weights) == pytest.approx(percent, rel=0.05), (sensors, powers)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seeds", [20, 200])
+def test_intervals_cover(seeds):
+    """Errors have zero mean, and 95 % intervals cover: both within what so many seeds allow (3 standard deviations)."""
+    road, off = chirp(6, phase=1.0), []
+    for seed in range(seeds):
+        off.append(deviations_off(estimate(problem(log(CAR, (BODY, TRAVEL), road, seed, known=True)), [*CAR.parameters][1:]), P))
+    off = np.array(off)
+    assert np.abs(off.mean(axis=0)).max() < 3 / np.sqrt(seeds)
+    assert np.abs(off.std(axis=0) - 1).max() < 3 / np.sqrt(2 * seeds)
+    assert abs((np.abs(off) < 1.96).mean() - 0.95) < 3 * np.sqrt(0.95 * 0.05 / seeds)
+
+
+P = CAR.parameters
+
+
+def test_the_scale_is_named():
+    """With five free parameters, motion alone gives four products, and the output says what would fix the scale."""
+    of = identified([log(CAR, (BODY, TRAVEL), chirp(6))], fix=())
+    assert of.estimate.held == (MASS,)
+    assert not of.intervals
+    assert {name: round(power, 9) for name, power in of.estimate.ratios["tyre_stiffness"].items()} == {
+        "tyre_stiffness": 1.0,
+        MASS: -1.0,
+    }
+    assert "motion alone never determines the scale" in said(of)
+
+
+@pytest.mark.parametrize("by", ["payload", pytest.param("force", marks=pytest.mark.attack)])
+def test_a_payload_or_a_force_determines_the_scale(by):
+    """A second log with a known payload, or a measured force, determine all five parameters within four standard deviations."""
+    road, random = chirp(6), np.random.default_rng(5)
+    force = np.asarray(lfilter([0.2], [1, -0.8], 500 * random.standard_normal((len(road), 1)), axis=0))
+    experiments = [log(CAR, (BODY, TRAVEL), road, 1, forces=force if by == "force" else None)]
+    if by == "payload":
+        laden = log(CAR.altered({MASS: P[MASS] + 100}), (BODY, TRAVEL), road, 2)
+        experiments.append(replace(laden, added={MASS: 100.0}))
+    of = identified(experiments, fix=())
+    assert {*of.intervals} == {*P}
+    assert np.abs(deviations_off(of.estimate, P)).max() < 4
+
+
+def test_both_solutions_of_the_mirror_case():
+    """With a damped tyre and the body's acceleration alone, the other vehicle that fits is given, with its exact values."""
+    values = {
+        MASS: 250.0,
+        "unsprung_mass": 30.0,
+        "suspension_stiffness": 2e4,
+        "suspension_damping": 600.0,
+        "tyre_stiffness": 2.5e5,
+    }
+    car = CAR.altered({**values, "tyre_damping": 500.0})
+    of = identified([log(car, (BODY,), chirp(20), noise={BODY: 0.005})], car, free=["tyre_damping"])
+    share = 250 / 280
+    other = {"suspension_stiffness": 2.5e5 * share, "suspension_damping": 500 * share, "tyre_stiffness": 2e4 / share}
+    for name, value in other.items():
+        assert of.mirror[name] == pytest.approx(value, rel=0.05)  # as noise moves both
+    assert "Another vehicle fits as well" in said(of)
+
+
+@pytest.mark.parametrize(
+    ("signal", "factor", "message"),
+    [
+        (TRAVEL, 1000, "thousandths of its unit, such as mm"),
+        (BODY, 1 / 9.80665, "in g instead of m/s2"),
+        (BODY, -1, "opposite sign .* sign = -1"),
+    ],
+)
+def test_wrong_units_and_signs_are_named(signal, factor, message):
+    """A column in mm or g, or with the opposite sign, is refused with its name before anything is fitted."""
+    right = log(CAR, (BODY, TRAVEL), chirp(6))
+    wrong = with_values(right, **{one.signal: factor * one.values for one in right.channels if one.signal == signal})
+    with pytest.raises(InputError, match=f"{signal} .*{message}"):
+        identified([wrong])
+
+
+def test_a_delay_is_named():
+    """A sensor that is 20 ms late is named as the first cause of residuals that are not white."""
+    right = log(CAR, (BODY, TRAVEL), chirp(6, top=4.0))
+    late = with_values(right, **{TRAVEL: np.concatenate([np.zeros(2), right.channels[1].values[:-2]])})
+    of = identified([late])
+    assert not of.estimate.white
+    assert TRAVEL in of.causes[0].words
+    assert "later than in the map" in of.causes[0].words
+
+
+@pytest.mark.attack
+def test_a_delay_is_estimated():
+    """The delay of a sensor that is 20 ms late is estimated within 1 ms, and residuals are white."""
+    right = log(CAR, (BODY, TRAVEL), chirp(6))
+    late = with_values(right, **{TRAVEL: np.concatenate([np.zeros(2), right.channels[1].values[:-2]])})
+    channels = tuple(replace(one, delay_estimated=one.signal == TRAVEL) for one in late.channels)
+    of = identified([replace(late, channels=channels)])
+    assert of.estimate.delays[TRAVEL] == pytest.approx(0.02, abs=1e-3)
+    assert of.estimate.white
+
+
+@pytest.mark.attack
+def test_robust_intervals_cover_under_coloured_noise():
+    """Noise with a correlation of 0.9 from sample to sample fails whiteness, and robust intervals cover in 90 to 98 %."""
+    road, off, white = chirp(15), [], 0
+    for seed in range(60):
+        exact, random = log(CAR, (BODY, TRAVEL), road, noise=dict.fromkeys(NOISE, 0.0)), np.random.default_rng(seed)
+        coloured = {
+            one.signal: one.values
+            + lfilter([NOISE[one.signal] * np.sqrt(1 - 0.9**2)], [1, -0.9], random.standard_normal(len(road)))
+            for one in exact.channels
+        }
+        of = estimate(problem(with_values(exact, **coloured)), [*P][1:])
+        off.append(deviations_off(of, P))
+        white += of.white
+    assert not white
+    assert 0.90 < (np.abs(off) < 1.96).mean() < 0.985
+
+
+FRICTION = """
+[parts.rub]
+kind = "dahl"
+force = 20.0
+damping = 0.0
+rho = 300.0
+"""
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(10))
+def test_friction_that_is_left_out_is_found(seed):
+    """If friction of 20 N is left out, residuals are not white."""
+    car = measurable(parse_vehicle(read_vehicle("quarter_car").text + FRICTION))
+    of = identified([log(car, (BODY, HUB, TRAVEL), chirp(8, 0.0025), seed, step=0.0025)])
+    assert not of.estimate.white
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(one, marks=pytest.mark.attack) for one in range(1, 10))])
+def test_tyre_damping_that_is_left_out_is_found(seed):
+    """If the tyre's damping is left out, residuals are not white, and tyre damping is the cause."""
+    of = identified([log(CAR.altered({"tyre_damping": 400.0}), (BODY, HUB, TRAVEL), chirp(8), seed)])
+    assert not of.estimate.white
+    assert "tyre_damping" in " ".join(one.words for one in of.causes)
+
+
+@pytest.mark.attack
+def test_samples_in_the_air_do_not_count():
+    """Samples with the wheel in the air are named, and those that remain give the truth within four standard deviations."""
+    high = log(CAR, (BODY, TRAVEL), chirp(8, amplitude=4e-3))
+    of = identified([high])
+    assert any("in the air" in one for one in of.remarks)
+    assert sum(len(one.road) for one in of.estimate.problem.experiments) < len(high.road)
+    assert np.abs(deviations_off(of.estimate, P)).max() < 4
+
+
+def test_an_unknown_road_gives_two_ratios():
+    """With the hub's acceleration instead of the road, k_s and c_s over m_s are determined, and no signal feels hub and tyre."""
+    whole = log(CAR, (BODY, HUB, TRAVEL), chirp(6, 0.005, top=5.0), step=0.005, noise={BODY: 0.1, HUB: 0.0, TRAVEL: 2e-4})
+    hub = whole.channels[1].values[:, None]
+    of = identified([replace(whole, road=hub, hubs=True, from_rest=False, channels=whole.channels[::2])], fix=())
+    assert {*of.estimate.silent} == {"unsprung_mass", "tyre_stiffness"}
+    for name in ("suspension_stiffness", "suspension_damping"):
+        value, deviation = of.estimate.combination(of.estimate.ratios[name])
+        assert abs(np.log(value / (P[name] / P[MASS]))) < 4 * deviation
+        assert deviation < 0.02
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ["half_car", "full_car"])
+def test_other_vehicles(name):
+    """The parameters of a half- and of a full car are within four standard deviations of the truth, given its mass."""
+    car = measurable(read_vehicle(name))
+    signals = [one for one in car.linear_model.outputs if one.startswith((BODY, TRAVEL))]
+    road = np.stack([chirp(8, phase=0.9 * i) for i in range(len(car.kind.wheels))], axis=-1)
+    noise = {one: 0.05 if one.startswith(BODY) else 2e-4 for one in signals}
+    of = identified([log(car, signals, road, noise=noise)], car)
+    assert {*of.intervals} == {*of.estimate.free}
+    assert len(of.estimate.free) >= 7
+    assert np.abs(deviations_off(of.estimate, car.parameters)).max() < 4
+
+
+def test_a_log_with_faults(tmp_path):
+    """Missing cells, a gap and repeated, rounded times: what is wrong is said, and the truth is within four deviations."""
+    experiment = log(CAR, (BODY, TRAVEL), chirp(6))
+    time = np.round(experiment.time, 2)
+    rows = np.column_stack([time, experiment.road, 1e3 * experiment.channels[1].values]).tolist()
+    lines = [f"{t:.2f};{road:.7f};{'' if i % 50 == 7 else f'{travel:.4f}'}" for i, (t, road, travel) in enumerate(rows)]
+    del lines[400:440]  # a gap of 0.4 s
+    lines.insert(300, lines[299])  # a repeated time
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time [s];road_displacement [m];travel [mm]", *lines]).replace(".", ","), encoding="utf-8")
+    (tmp_path / "map.toml").write_text(map_text([path], CAR), encoding="utf-8")
+    of = identify([path], CAR, tmp_path / "map.toml", [MASS])
+    assert any("2 stretches" in one for one in of.remarks)
+    assert np.abs(deviations_off(of.estimate, P)).max() < 4
+
+
+def test_a_first_map(tmp_path):
+    """Headings that name a signal become sections, with warnings about units that are missing; others are comments."""
+    path = tmp_path / "rig.csv"
+    path.write_text(
+        "time [s];AccZ [g];Hub acc [m/s2];shock travel;post mm;Temp\n" + "0;0;0;0;0;0\n1;1;1;1;1;1\n", encoding="utf-8"
+    )
+    text = map_text([path], CAR)
+    sections = {line.partition("]")[0][9:] for line in text.splitlines() if line.startswith("[signals.")}
+    assert sections == {BODY, HUB, TRAVEL, "road_displacement"}
+    assert 'column = "shock travel [m]"  # the heading has no unit: m is assumed; many logs have mm' in text
+    assert "# rig.csv, column 6: Temp" in text
+
+
+def test_a_log_in_parquet(tmp_path, monkeypatch):
+    """A Parquet file is read as the same table in text is; a file that is too large is refused with what to do."""
+    columns = {
+        "time [s]": [0.0, 0.1, 0.2, 0.3],
+        "suspension_deflection [mm]": [1.0, None, 3.0, 4.0],
+        "note": ["a", "b", "c", "d"],
+    }
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
+    read = read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
+    np.testing.assert_allclose(read.signals[TRAVEL], [1e-3, np.nan, 3e-3, 4e-3])
+    np.testing.assert_allclose(read.time, [0.0, 0.1, 0.2, 0.3])
+    monkeypatch.setattr("models.common.table.MOST_BYTES", 100)
+    with pytest.raises(InputError, match="cut it, or resample it"):
+        read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
