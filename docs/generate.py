@@ -16,6 +16,7 @@ import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -154,8 +155,12 @@ def parser_of(command: str) -> Parser:
         made.append(parser)
         raise _MadeError
 
-    module = importlib.import_module(command)
-    main = getattr(module, "main", None) or importlib.import_module(f"{command}.__main__").main
+    package, _, study = command.partition(" ")
+    if study:  # a command without a module of its own
+        main = partial(importlib.import_module(f"{package}.command.study").main, study)
+    else:
+        module = importlib.import_module(command)
+        main = getattr(module, "main", None) or importlib.import_module(f"{command}.__main__").main
     with mock.patch.object(Parser, "parse_args", stop), contextlib.suppress(_MadeError):
         main([])
     return made[0]

@@ -212,7 +212,7 @@ def table_text(path: Path) -> str:
             or the file is too large.
     """
     suffix = path.suffix.lower()
-    if (size := path.stat().st_size) > MOST_BYTES:
+    if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
         most = f"at most {MOST_BYTES // 10**6} MB are read"
         raise InputError(f"the file has {size // 10**6} MB, but {most}; cut it, or resample it at a lower rate")
     if suffix == ".parquet":

@@ -21,7 +21,7 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   3247   2249      0
+what all commands share: files, options, checks, tables of numbers   3247   2260      0
     models/common/* tests/*/test_{children,columns,files,interrupts*,loaded,messages,portable}.py tests/models/test_sections.py
     tests/*/test_{json_keys,printed,progress,roadproof,shell,tables,wrong_calls,bad_input*}.py
     tests/commands/golden.py
@@ -132,8 +132,8 @@ recordings: MCAP, Foxglove, Rerun                              2194   1142     4
 page and figures                                               3603   1380     77
     sim/report/* models/document/* tests/*/{reading.py,page_in_browser.mjs} tests/*/test_{beside,page,page_in_browser,report*}.py
     docs/how-to/report.md docs/tutorials/reading-a-report.md
-campaigns                                                      2726   1799    205
-    sim/campaign/* tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
+campaigns                                                      2766   1799    205
+    sim/campaign/* sim/runs/sampled_vehicle.py tests/*/test_{best,campaign*,cluster,trade_off}.py docs/how-to/{campaign,tune-a-law}.md
 studies: one noun for commands and the page                     424      0      0
     sim/command/study.py sim/studies/{command_name,study,subject}.py
 gallery of papers                                               734    343     49
@@ -152,7 +152,7 @@ ride metrics and their expectation                             3169   1277      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       523    318     96
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              2940    351    177
+identification from measured logs                              2944    351    177
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1261    369     33
@@ -176,7 +176,7 @@ commands that drive                                            1046    989    42
     tests/support/drives.py tests/*/test_{bump,drive,options,several}.py
     sim/command/{__init__,comparison,driv*,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   5234   1598
+house, pages, benchmarks                                          0   5234   1603
     tests/{__init__,conftest,same_numbers}.py tests/*/{__init__,ceilings,__main__,commands,formats,pages,prose,shared,sources}.py
     tests/*/test_{architecture,help_pages,house,pages,public,readme,recipes,ruler,sentences,shared,site}.py
     tests/benchmarks/* tests/evals/* tests/support/ruler/*

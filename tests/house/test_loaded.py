@@ -31,7 +31,7 @@ LOADED = {
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),
 }
-MOST_LINES = 24_560  # of our source, that the main command loads; asked are 15 000
+MOST_LINES = 24_610  # of our source, that the main command loads; asked are 15 000
 HELP = 36  # of our modules, for all the help pages together, beside one for each command; studies have their options in another
 
 

@@ -9,7 +9,6 @@ import sys
 import numpy as np
 import pytest
 from scipy.io import savemat
-from sim.studies.registry import command_of
 
 from models.common.errors import InputError
 from models.document.figure import styles
@@ -23,6 +22,7 @@ from sim.campaign.file import read_campaign
 from sim.linear.sampled_response import taylor4
 from sim.runs.by_name import run
 from sim.runs.run import sample_times
+from sim.studies.command_name import command_of
 from sim.studies.ride import over_roads as ride
 from synth.vehicle.designer import Designer
 from tests.support import pages

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from models.document.document import Document
     from models.document.figure import Figure
     from sim.studies.identification.identification import Identification
-    from sim.studies.identification.plan import Plan
+    from sim.studies.identification.plan import ChirpPlan
 
-    Result = Identification | list[Plan] | str
+    Result = Identification | list[ChirpPlan] | str
 
 
 class IdentifyStudy(Study["Result"]):

@@ -30,7 +30,7 @@ from sim.studies.identification.log_map import LogMap, read_map
 from sim.studies.identification.reading import LEAST, LogStretches, read_experiments
 
 if TYPE_CHECKING:
-    from sim.studies.identification.allowed import AllowedResult
+    from sim.studies.identification.allowed_result import AllowedResult
 
 UNITS = ("kg", "kg m2", "N/m", "N s/m", "N m/rad")  # of the parameters that are free without --free
 SMALL_START = 0.02  # of critical damping: where a damping starts that the file has as 0

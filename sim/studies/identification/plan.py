@@ -29,7 +29,7 @@ APART = 0.3  # relative difference of the first frequencies of two posts
 
 
 @dataclass(frozen=True)
-class Plan:
+class ChirpPlan:
     """A chirp and what it determines.
 
     Attributes:
@@ -52,13 +52,13 @@ class Plan:
 
 
 PLANS = (
-    Field[Plan]("chirp", lambda one: f"{one.low:g} to {one.high:g} Hz", key="chirp"),
-    Field[Plan]("duration", lambda one: one.duration, ".0f", key="duration", unit="s"),
-    Field[Plan]("amplitude", lambda one: one.amplitude, ".2g", 1e3, key="amplitude", unit="mm"),
-    Field[Plan]("worst deviation", lambda one: one.worst, ".2g", 100, key="worst", unit="%"),
+    Field[ChirpPlan]("chirp", lambda one: f"{one.low:g} to {one.high:g} Hz", key="chirp"),
+    Field[ChirpPlan]("duration", lambda one: one.duration, ".0f", key="duration", unit="s"),
+    Field[ChirpPlan]("amplitude", lambda one: one.amplitude, ".2g", 1e3, key="amplitude", unit="mm"),
+    Field[ChirpPlan]("worst deviation", lambda one: one.worst, ".2g", 100, key="worst", unit="%"),
 )
 
-PLAN = Record[Plan](*PLANS, deviations="deviations")
+PLAN = Record[ChirpPlan](*PLANS, deviations="deviations")
 
 
 def chirp(duration: float, low: float, high: float, step: float) -> Array:
@@ -68,7 +68,7 @@ def chirp(duration: float, low: float, high: float, step: float) -> Array:
     return np.minimum(time * low, 1.0) * np.sin(2 * np.pi * low * scale * (np.exp(time / scale) - 1))
 
 
-def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[Plan]:
+def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequence[str] = ()) -> list[ChirpPlan]:
     """Returns chirps on all posts, those first whose worst relative standard deviation is the smallest.
 
     The posts of several wheels start at different frequencies, so that no motion of the body is missing.
@@ -85,7 +85,7 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
         raise InputError(f"a plan needs the noise of each sensor; give noise below [signals.{list_names(silent) or 'NAME'}]")
     named = replace(vehicle, kind=vehicle.kind.naming({*vehicle.kind.possible}))
     first, wheels = free_parameters(named, fix, free), len(named.kind.wheels)
-    each = list[Plan]()
+    each = list[ChirpPlan]()
     for duration in DURATIONS:
         for low, high in BANDS:
             road = np.stack([chirp(duration, low * (1 + APART * i), high, STEP) for i in range(wheels)], axis=-1)
@@ -94,7 +94,7 @@ def plans(vehicle: Vehicle, log_map: LogMap, fix: Sequence[str] = (), free: Sequ
             forces = np.zeros((len(road), len(named.linear_model.inputs)))
             experiment = Experiment("plan", STEP, amplitude * road, forces, channels, from_rest=True)
             problem = IdentificationProblem(named, changed, first, (experiment,), log_map.known)
-            each.append(Plan(duration, low, high, amplitude, standard_deviations(problem)))
+            each.append(ChirpPlan(duration, low, high, amplitude, standard_deviations(problem)))
     return sorted(each, key=lambda one: (one.worst, one.duration))
 
 

@@ -18,10 +18,10 @@ from models.document.field import Field, Record, at_most
 from models.document.figure import Curve, Figure, Panel
 from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
-from sim.studies.identification.allowed import ALLOWED, WORST_BOUND, AllowedResult
+from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
 from sim.studies.identification.estimate import Estimate
 from sim.studies.identification.identification import Identification
-from sim.studies.identification.plan import PLANS, Plan
+from sim.studies.identification.plan import PLANS, ChirpPlan
 
 SCALE = (
     "motion alone never determines the scale of masses, stiffnesses and dampings; give a corner weight below [known], a log with "
@@ -219,7 +219,7 @@ def describe(of: Identification) -> Document:
     return Document("Identification", tuple(blocks))
 
 
-def describe_plans(each: Sequence[Plan]) -> Document:
+def describe_plans(each: Sequence[ChirpPlan]) -> Document:
     """Describes plans: chirps, and the standard deviation of each parameter with the best one."""
     best = each[0]
     rows = [f"{name} {SHARE.text(one)}" if one < inf else f"{name} not determined" for name, one in best.deviations.items()]
