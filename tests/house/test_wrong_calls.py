@@ -211,7 +211,8 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
 # What is right after all: another value of the same type, or what is left out by default.
 GOOD = {
     "None": "folder varied usual suspended sample_period beyond dt lower_bound Dyw structure decay gain bests noise X eta "
-    "plant_without_law through enough Cy beyond_control iri motion order design minimise tolerance largest_gain people",
+    "plant_without_law through enough Cy beyond_control iri motion order design minimise tolerance largest_gain people "
+    "road",
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
     "force stiffness damping ratio stem joint",
     "-1": "height depth amplitude factor index",

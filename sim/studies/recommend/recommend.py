@@ -4,11 +4,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated
 
 from models import USUAL_TIMESTEP
-from models.common.checks import check_arguments
-from models.common.errors import InputError
+from models.common.checks import Must, PositiveTime, check_arguments
+from models.common.errors import InputError, list_names
 from models.common.printed import brief
 from models.common.threads import one_thread
 from models.roads.iso8608 import Iso8608, long_enough
@@ -21,7 +21,7 @@ from sim.studies.recommend.optimal import certified, lower_bound
 from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
-from sim.studies.recommend.task import Contender, Task
+from sim.studies.recommend.task import GOALS, Contender, Task
 from sim.studies.recommend.within import Within, read_within
 from synth.plant.numerics import DesignError
 
@@ -30,15 +30,16 @@ SPEED = 20.0  # m/s, usual
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
+Goal = Annotated[str, Must(f"one of {list_names(GOALS)}", lambda value: value in GOALS)]
 
 
 @check_arguments
 def recommend(
     vehicle: Vehicle,
     road: Road | None = None,
-    goal: Literal["ride", "holding", "travel"] = "ride",
+    goal: Goal = "ride",
     within: Within | str = "",
-    timestep: float = USUAL_TIMESTEP,
+    timestep: PositiveTime = USUAL_TIMESTEP,
 ) -> Recommendation:
     """Returns the best controllers for a vehicle: candidates of every family, searched and driven over the road in MuJoCo.
 

@@ -45,6 +45,8 @@ class Within:
         off_ground: largest share of the time in which a tyre does not touch the ground.
     """
 
+    public_name = "limits of a Recommendation"
+
     stroke: float | None = 0.95
     force: float | None = 1.0
     gain_margin: float | None = 2.0
