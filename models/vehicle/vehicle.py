@@ -690,8 +690,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         parameters, limits, vehicle_kind = FEATURES.load("payload").apply_payload(
             given.payload, vehicle_kind, parameters, limits, curves
         )
-    model = vehicle_kind.full_model(parameters)
-    elements = ()
+    model, elements = vehicle_kind.full_model(parameters), ()
     if given.parts:
         element = FEATURES.load("parts in files")
         elements = element.read_elements(given.parts, [part.corner for part in vehicle_kind.suspensions], parameters)
