@@ -143,7 +143,7 @@ gallery of papers                                               734    343     4
 margins in physics                                             1979    823     72
     sim/margins.py sim/studies/stability/* tests/*/test_margins*.py docs/how-to/margins.md
     synth/controller/{disk_margin,sample_period_margin,stability_margins}.py
-recommendation of a controller                                 1562    304    149
+recommendation of a controller                                 1569    304    149
     sim/studies/recommend/* tests/sim/test_recommend.py docs/how-to/recommend.md docs/tutorials/best-controller.md
 frequency, sweep                                               1926    602     36
     sim/sweep.py sim/studies/frequency/* tests/*/test_{eusama,sweep*}.py docs/how-to/sweep.md
@@ -153,7 +153,7 @@ ride metrics and their expectation                             3169   1277      
     tests/*/test_{expected*,metrics,midway,settled,scores,step_response}.py
 measured logs beside runs                                       523    318     96
     models/common/logs/* sim/studies/validity/measured_log.py tests/*/test_measured_log*.py docs/how-to/measured-logs.md
-identification from measured logs                              2944    351    178
+identification from measured logs                              2937    351    178
     sim/identify.py sim/studies/identification/* tests/*/test_identify.py docs/how-to/identify.md
     docs/tutorials/identify-a-car.md
 map of validity                                                1261    369     33

@@ -5,7 +5,7 @@ residuals on the part of g that the unknowns do not explain. Its share is that o
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,10 +14,8 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.common.printed import brief
-from models.vehicle.vehicle import Vehicle
 from sim.studies.identification.estimate import Estimate, IdentificationProblem
-from sim.studies.identification.experiment import Channel
-from sim.studies.identification.prediction import LogPrediction, continuous_model
+from sim.studies.identification.prediction import continuous_model
 from sim.studies.identification.whiteness import autoregressive
 
 FACTORS: Mapping[float, str] = {
@@ -152,9 +150,8 @@ def _directions(of: Estimate) -> Iterator[tuple[Callable[[float], str], Array]]:
                 _weighted(of, late),
             )
         yield partial(_gain_words, signal), _weighted(of, gains)
-    vehicles = [one.vehicle(of.values) for one in problem.predictions]
-    for place in vehicles[0].kind.suspensions:
-        pushed = [_friction(one, vehicle, place.force) for one, vehicle in zip(problem.predictions, vehicles, strict=True)]
+    for place in problem.vehicle.kind.suspensions:
+        pushed = [_friction(of, i, place.force) for i in range(len(problem.predictions))]
         yield (
             partial(_size_words, f"friction of {{}} N in the suspension{place.ending.replace('_', ' ')}"),
             _weighted(of, pushed),
@@ -202,16 +199,12 @@ def _weighted(of: Estimate, moved: list[Array]) -> Array:
     return np.concatenate([*rows, np.zeros(len(of.problem.known))])
 
 
-def _friction(prediction: LogPrediction, vehicle: Vehicle, force: str) -> Array:
-    """Returns the signals under 1 N of friction in a suspension, shape (T, q)."""
-    one, model = prediction.experiment, vehicle.linear_model
-    deflection = vehicle.kind.deflection_of(force)
-    from dataclasses import replace
-
-    from sim.studies.identification.experiment import Channel
-
-    alone = LogPrediction(replace(one, channels=(Channel(deflection, np.zeros(len(one.road))),)), lambda _: vehicle)
-    travel = alone({}, {}, None if one.from_rest else np.zeros(len(alone.states({}))), [0.0], False).values[:, 0]
+def _friction(of: Estimate, i: int, force: str) -> Array:
+    """Returns the signals of an experiment under 1 N of friction in a suspension, shape (T, q)."""
+    prediction = of.problem.predictions[i]
+    one, vehicle = prediction.experiment, prediction.vehicle(of.values)
+    model, deflection = vehicle.linear_model, vehicle.kind.deflection_of(force)
+    travel = prediction.signals([deflection], of.values, of.residuals.start(of.x, i))[:, 0]
     speed = np.gradient(travel, one.step)
     # The force pulls the ends together as they move apart.
     pull = np.clip(speed / max(FULL * float(np.abs(speed).max()), 1e-12), -1.0, 1.0)
@@ -230,8 +223,7 @@ def _by_parameter(of: Estimate, name: str) -> list[Array]:
     value = of.problem.vehicle.parameters.get(name, 0.0)
     step, each = max(1.0, 1e-3 * value), list[Array]()
     for i, one in enumerate(of.problem.predictions):
-        start, _ = of.residuals.unknowns.of_experiment(i)
-        first = of.x[start] if of.residuals.unknowns.starts[i] else None
+        first = of.residuals.start(of.x, i)
         delays = of.residuals.delays(of.x, one.experiment)
         moved = [one({**of.values, name: value + more}, {}, first, delays, False).values for more in (step, 0.0)]
         each.append((moved[0] - moved[1]) / step)
@@ -262,13 +254,7 @@ def airborne(of: Estimate) -> list[tuple[int, Array]]:
         vehicle = one.vehicle(of.values)
         limits = vehicle.kind.static_tyre_deflection(vehicle.parameters)
         names = [name for name in limits if name in vehicle.linear_model.outputs]
-        channels = tuple(Channel(name, np.zeros(len(one.experiment.road))) for name in names)
-        alone = LogPrediction(replace(one.experiment, channels=channels), lambda _, vehicle=vehicle: vehicle)
-        start, _ = of.residuals.unknowns.of_experiment(i)
-        first = of.x[start] if of.residuals.unknowns.starts[i] else None
-        if first is not None and not len(first):
-            first = None
-        values = alone({}, {}, first, [0.0] * len(names), False).values
+        values = one.signals(names, of.values, of.residuals.start(of.x, i))
         air = np.asarray((values > [abs(limits[name]) for name in names]).any(axis=1))
         if air.any():
             each.append((i, air))

@@ -129,7 +129,6 @@ class _Residuals:
             tuple(i for i, channel in enumerate(one.channels) if channel.offset_estimated) for one in problem.experiments
         )
         self.unknowns = _Unknowns(tuple(free), problem.delayed, starts, offsets)
-        self.masks = [np.stack([channel.counted for channel in one.channels], axis=-1) for one in problem.experiments]
         self.measured = [np.stack([channel.values for channel in one.channels], axis=-1) for one in problem.experiments]
         self._at, self._now = None, list[PredictedSignals]()
 
@@ -157,14 +156,18 @@ class _Residuals:
         own = dict(zip(self.unknowns.delayed, x[first : first + len(self.unknowns.delayed)].tolist(), strict=True))
         return [own.get(one.signal, one.delay) for one in experiment.channels]
 
+    def start(self, x: Array, i: int) -> Array | None:
+        """Returns the state at the start of an experiment; None for rest."""
+        return x[self.unknowns.of_experiment(i)[0]] if self.unknowns.starts[i] else None
+
     def predicted(self, x: Array, derivatives: bool = True) -> list[PredictedSignals]:
         """Returns the predicted signals of all experiments, with offsets."""
         if self._at is not None and np.array_equal(self._at, x):
             return self._now
         values, all_signals = self.values(x), list[PredictedSignals]()
         for i, one in enumerate(self.problem.predictions):
-            start, offset = self.unknowns.of_experiment(i)
-            first = x[start] if self.unknowns.starts[i] else None
+            _, offset = self.unknowns.of_experiment(i)
+            first = self.start(x, i)
             signals = one(values, self.sizes(values), first, self.delays(x, one.experiment), derivatives)
             shift = np.zeros(signals.values.shape[1])
             shift[list(self.unknowns.offsets[i])] = x[offset]

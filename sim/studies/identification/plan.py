@@ -103,8 +103,7 @@ def _loads(vehicle: Vehicle, road: Array) -> float:
     limits = {name: abs(one) for name, one in vehicle.kind.static_tyre_deflection(vehicle.parameters).items()}
     limits |= {place.deflection: TRAVEL for place in vehicle.kind.suspensions}
     names = [name for name in limits if name in vehicle.linear_model.outputs]
-    channels = tuple(Channel(name, np.zeros(len(road))) for name in names)
     forces = np.zeros((len(road), len(vehicle.linear_model.inputs)))
-    prediction = LogPrediction(Experiment("", STEP, road, forces, channels, from_rest=True), lambda _: vehicle)
-    values = prediction({}, {}, None, [0.0] * len(names), False).values
+    rig = Experiment("plan", STEP, road, forces, (), from_rest=True)
+    values = LogPrediction(rig, lambda _: vehicle).signals(names, {}, None)
     return float(np.abs(values / [limits[name] for name in names]).max())

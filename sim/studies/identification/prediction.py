@@ -24,7 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array, recursion
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from sim.studies.identification.experiment import Experiment
+from sim.studies.identification.experiment import Channel, Experiment
 
 DIFFERENCE = 1e-5  # relative step of differences of matrices: their error is its square
 STEPPED_DIFFERENCE = 1e-4  # relative step of differences of responses
@@ -139,6 +139,12 @@ class LogPrediction:
                 free_motion = recursion(step.Phi, np.zeros_like(x), np.eye(n)[i])
                 by_start[i] = self._read(step.rows, free_motion, None, delays)
         return PredictedSignals(value, by_parameter, by_start, -self._read(step.rates, x, inputs, delays))
+
+    def signals(self, names: Sequence[str], values: Mapping[str, float], start: Array | None) -> Array:
+        """Returns other signals of the vehicle, as sensors without delay would measure them, shape (T, len(names))."""
+        channels = tuple(Channel(name, np.zeros(len(self.experiment.road))) for name in names)
+        other = LogPrediction(replace(self.experiment, channels=channels), self._vehicle)
+        return other(values, {}, start, [0.0] * len(names), False).values
 
     def _read(self, rows: Array, x: Array, inputs: Array | None, delays: Sequence[float]) -> Array:
         """Returns what each channel reads at each sample, by its row of [x; v; v'] at the sample before its delayed time.

@@ -19,7 +19,7 @@ from models.document.figure import Curve, Figure, Panel
 from models.document.outputs import IDENTIFIED
 from models.vehicle.in_place import with_sections
 from sim.studies.identification.allowed_result import ALLOWED, WORST_BOUND, AllowedResult
-from sim.studies.identification.estimate import Estimate
+from sim.studies.identification.estimate import NORMAL, Estimate
 from sim.studies.identification.identification import Identification
 from sim.studies.identification.plan import PLANS, ChirpPlan
 
@@ -140,7 +140,7 @@ def products(of: Estimate) -> Iterator[tuple[str, float, float, float]]:
     for powers in of.ratios.values():
         if len(powers) > 1:
             value, deviation = of.combination(powers)
-            width = 1.959963984540054 * deviation
+            width = NORMAL * deviation
             yield product_words(powers), value, value * float(np.exp(-width)), value * float(np.exp(width))
 
 

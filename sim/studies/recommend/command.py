@@ -9,13 +9,13 @@ from models.common.errors import InputError
 from models.common.extensions import FEATURES
 from models.common.printed import title_lines
 from models.vehicle.names import CLASSES, ROAD_SYNTAX
+from sim.studies.recommend import GOALS
 from sim.studies.study import Progress, Study, StudyRequest
 
 if TYPE_CHECKING:
     from models.document.document import Document
     from sim.studies.recommend.result import Recommendation
 
-GOALS = ("ride", "holding", "travel")
 LONGEST_RUN = 16.0  # s, over which a random road does not repeat
 
 
@@ -53,7 +53,7 @@ examples:
         parser.add_argument(
             "--for",
             dest="goal",
-            choices=GOALS,
+            choices=[*GOALS],
             default="ride",
             help="what is minimised: weighted acceleration, dynamic tyre load or travel (default: ride)",
         )

@@ -18,10 +18,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import about, brief
+from models.kinds.kind import GRAVITY
 from models.laws.linear import LinearLaw
 from models.laws.semi_active import LAWS, MODES, SemiActive, SemiActiveLaw
 from sim.studies.recommend.optimal import uncertified
-from sim.studies.recommend.task import GRAVITY, Contender, Task
+from sim.studies.recommend.task import Contender, Task
 
 EXACT = 1e-6  # relative: of a sensor that is a sum of the body's velocities, or of their rates
 BODY = ("sprung_velocity", *MODES)

@@ -11,7 +11,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
-from sim.studies.recommend.task import GOALS, ROADS, WINDOW, Contender, Task
+from sim.studies.recommend import GOALS
+from sim.studies.recommend.task import ROADS, WINDOW, Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, Usage
 from sim.studies.ride.expected import expect
 from sim.studies.ride.scores import score_of

@@ -15,18 +15,18 @@ from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import Road, track_width
 from models.vehicle.names import PASSIVE, without_copies
 from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend import GOALS
 from sim.studies.recommend.confirm import drive_candidates
 from sim.studies.recommend.laws import semi_active
 from sim.studies.recommend.optimal import certified, lower_bound
 from sim.studies.recommend.rating import Rating, rate_expected
 from sim.studies.recommend.result import RankedContender, Recommendation
 from sim.studies.recommend.search import Family, families
-from sim.studies.recommend.task import GOALS, Contender, Task
+from sim.studies.recommend.task import SPEED, Contender, Task
 from sim.studies.recommend.within import Within, read_within
 from synth.plant.numerics import DesignError
 
 RESERVE = 0.1  # share of stroke and force that is kept for random roads that were not driven
-SPEED = 20.0  # m/s, usual
 ROUNDS, SLACK, TIGHTER, LEAST = 2, 0.75, 1.05, 0.3  # repeated searches; use that calls for another one; factor; least factor
 CALIBRATED = ("stroke", "force", "lift")  # limits whose use in MuJoCo differs from the expectation
 OF_RUNS = 1.8  # time of a recommendation over that of the first searches, for the estimate
@@ -130,8 +130,9 @@ class _Work:
 
     def _add(self, one: Contender) -> None:
         """Adds a candidate; one with an unstable implemented loop is left out."""
-        rating = rate_expected(self.task, one) if one.controller.linear is True and not one.vehicle.dampers else None
-        if rating is None and one.controller.linear is True and not one.vehicle.dampers:
+        linear = one.controller.linear is True and not one.vehicle.dampers
+        rating = rate_expected(self.task, one) if linear else None
+        if linear and rating is None:
             self.left_out[one.name] = "its implemented loop is unstable"
         else:
             self.expected[one] = rating

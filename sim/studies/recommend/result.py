@@ -12,9 +12,10 @@ from models.document.field import Field, Record
 from models.document.text import BEST, ShownResult, join_words
 from models.roads.iso8608 import Iso8608
 from models.vehicle.names import PASSIVE
+from sim.studies.recommend import GOALS
 from sim.studies.recommend.confirm import SEEDS
 from sim.studies.recommend.rating import Rating
-from sim.studies.recommend.task import GOALS, Contender, Task
+from sim.studies.recommend.task import Contender, Task
 from sim.studies.recommend.within import MOST_GAIN, TAIL
 from sim.studies.ride.scores import COLUMNS
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy import linalg
@@ -12,24 +11,24 @@ from scipy import linalg
 from models.characteristics import SIDES
 from models.common.arrays import Array
 from models.common.printed import brief
+from models.kinds.kind import GRAVITY
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
 from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.studies.recommend import GOALS
 from sim.studies.recommend.within import Within
 from sim.studies.ride.expected import ExpectedMetrics, expect
 from sim.studies.ride.scores import score_of
 from synth.controller.controller import AnyController, Controller
 from synth.vehicle.designer import Designer
 
-Goal = Literal["ride", "holding", "travel"]
-GOALS: Mapping[Goal, str] = {"ride": "ride", "holding": "dynamic_load", "travel": "peak_travel"}  # and their columns
 WINDOW = 10.0  # s, measured on each road
 ROADS = 30  # of this window, whose largest value the linear stage expects
 NOISE = 0.01  # of a signal's rms without control: noise of a sensor for which the file gives none
 TRAVEL, FORCE = 1.25, 0.5  # assumed limits: of the passive car's peak travel, and of the static load
-GRAVITY = 9.81  # m/s2
+SPEED = 20.0  # m/s, usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class Task:
 
     vehicle: Vehicle
     road: Road
-    goal: Goal = "ride"
+    goal: str = "ride"
     within: Within = field(default_factory=Within)
     timestep: float = 1e-3
 
@@ -58,7 +57,7 @@ class Task:
     @property
     def spectrum(self) -> Spectrum:
         """Spectrum of the random road for which candidates are designed: the road's own, or that of class C."""
-        usual = Iso8608(speed=self.road.speed or 20.0, track_width=track_width(self.vehicle))
+        usual = Iso8608(speed=self.road.speed or SPEED, track_width=track_width(self.vehicle))
         return self.road.spectrum or usual.spectrum
 
     @property
