@@ -100,7 +100,7 @@ full-order H-infinity                                           915    741    11
 static search, descent, refine                                 2074    750      0
     synth/design/descent/* synth/design/{fallback,static}.py synth/vehicle/refined.py tests/support/multistart.py
     tests/*/test_{against_descents,descent,static}.py
-LMI certificates that anybody can check                         909    351    103
+LMI certificates that anybody can check                         910    351    103
     synth/analysis/lmi_certificate/* synth/vehicle/lmi_certificates.py synth/command/certificates.py
     tests/synth/test_lmi_certificates.py tests/support/check_certificates.mjs docs/explanation/lmi-certificates.md
 two steps, LMI path                                            2734   1013     35

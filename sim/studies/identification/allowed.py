@@ -55,7 +55,8 @@ def allowed_results(of: Identification, names: Sequence[str] = ()) -> list[Allow
             one.problem(vehicle).judged(one.law) if one.measured else None for vehicle, one in zip(vehicles, each, strict=False)
         ]
         bounds = [
-            None if one is None else certify_tightly(one.plant, one.G, by_itself=one.plant_without_law).bound for one in judged
+            None if one is None else certify_tightly(one.plant, one.G, plant_without_law=one.plant_without_law).bound
+            for one in judged
         ]
         margins = [law_margins(vehicle, one) for vehicle, one in zip(vehicles, each, strict=False)]
         rides = [expected_ride(vehicle, one) for vehicle, one in zip(vehicles, each, strict=False)]

@@ -17,7 +17,7 @@ from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of, prove_bound
 from synth.analysis.lmi_certificate.check_certificate import ExactLoop, Matrix
 from synth.analysis.lmi_certificate.rational import decimal, exact, floats, rational, rounded, rows, shortened
-from synth.analysis.norm import hinf_norm
+from synth.analysis.norm import Norm, hinf_norm
 from synth.analysis.rigorous import definiteness
 from synth.analysis.stability import balance, stability
 from synth.analysis.uncertainty_box import BoxProof
@@ -43,11 +43,12 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     plain = floats(loop, dt)
     if not stability(plain.A, dt).stable:
         return None
-    norm = hinf_norm(plain).value
+    peak = hinf_norm(plain)
+    norm = peak.value
     for level in (bound,) if bound is not None else [rounded(norm * (1 + above), 9, ROUND_CEILING) for above in ABOVE]:
         if not norm < level < np.inf:
             continue
-        for X in _bounding(plain, level, norm, known):
+        for X in _bounding(plain, level, peak, known):
             for short in shortened(X):
                 near = prove_bound(plain, np.zeros((0, len(X))), short, eta_of(level)).holds
                 if near and loop.norm(exact(short), decimal(level)):
@@ -55,11 +56,11 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
     return None
 
 
-def _bounding(loop: Plant, level: float, norm: float, known: Array | None) -> Iterator[Array]:
+def _bounding(loop: Plant, level: float, norm: Norm, known: Array | None) -> Iterator[Array]:
     """Yields matrices that may prove a bound on the norm of a loop."""
-    turned = hinf_norm(loop).peak_frequency * (loop.dt or 0.0) > np.pi / 2
+    turned = norm.peak_frequency * (loop.dt or 0.0) > np.pi / 2
     image = FEATURES.load("discrete plants").continuous_loop(loop, turned=turned)
-    margin = min(level / norm - 1, 1.0) if norm else 1.0
+    margin = min(level / norm.value - 1, 1.0) if norm.value else 1.0
     for more, everywhere in product(NOISE, EVERYWHERE):
         try:
             X = (loop.dt or 1.0) * bounding_x(image, level, more * margin, everywhere)
