@@ -15,6 +15,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.logs.measured_log import read_measured_log
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.studies.identification.allowed import allowed_results
 from sim.studies.identification.columns import map_text
 from sim.studies.identification.estimate import Estimate, IdentificationProblem, estimate
 from sim.studies.identification.experiment import Channel, Experiment
@@ -349,3 +350,13 @@ def test_a_log_in_parquet(tmp_path, monkeypatch):
     monkeypatch.setattr("models.common.table.MOST_BYTES", 100)
     with pytest.raises(InputError, match="cut it, or resample it"):
         read_measured_log(tmp_path / "log.parquet", {TRAVEL: "m"})
+
+
+def test_a_controller_on_the_vehicles_that_a_log_allows():
+    """The bound of a controller is proved on the estimate and on both ends of each axis of the ellipse, and is largest there."""
+    found = identified([log(CAR, (BODY, TRAVEL), chirp(6))])
+    [one] = allowed_results(found, ["II_printed"])
+    assert one.vehicles == 1 + 2 * len(found.estimate.free)
+    assert one.bound is not None
+    assert one.worst_bound is not None
+    assert one.bound < one.worst_bound < 1.1 * one.bound
