@@ -49,6 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     if arguments is None and words and words[0] in VERBS:
         roadproof()
+    if words and " " in VERBS.get(words[0], ""):  # a study without a module of its own
+        from sim.command import study
+
+        return study.main(words[0], words[1:])
     if words and not words[0].startswith("-"):
         raise InputError(f"unknown command {words[0]!r}; the commands are {list_names(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG, "docs/which-command.md")
