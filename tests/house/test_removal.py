@@ -66,14 +66,19 @@ SAMPLES = (
     "sim.drive.drivers.linear",
     "sim.observers.energy",
 )
-EVERY = dict.fromkeys(row.partition(":")[0] for sort, rows in EXTENSIONS.items() if sort not in TOGETHER for row in rows.values())
+SORTS = ("part", "driver", "observer", "study", "design method", "feature")
 
 
-@pytest.mark.parametrize("modules", in_the_suite([SAMPLES], [SAMPLES, *((module,) for module in EVERY)]), ids=" ".join)
-def test_all_else_works_without_them(modules, tmp_path):
-    """In a copy without some files and their lines every module is imported, and a car runs over a bump, or is designed for."""
-    if not {*modules} <= removable().keys():
-        pytest.skip("other modules import it")
+@pytest.mark.parametrize("sort", in_the_suite(["samples"], ["samples", *SORTS]))
+def test_all_else_works_without_them(sort, tmp_path):
+    """In a copy without some files and their lines every module is imported, and a car runs over a bump, or is designed for.
+
+    The other removable modules of a sort are removed together. No module of them needs another one, as `removable` has only
+    modules that no file imports.
+    """
+    others = [module for module, (other, _) in removable().items() if other == sort and module not in SAMPLES]
+    modules = others if sort in SORTS else SAMPLES
+    assert {*modules} <= removable().keys()
     copied(tmp_path, "models", "synth", "sim")
     uses = {one for module in modules if (one := USE.get(module, USE.get(removable()[module][0])))} or {BUMP}
     text = (tmp_path / TABLE).read_text(encoding="utf-8")
@@ -81,7 +86,8 @@ def test_all_else_works_without_them(modules, tmp_path):
         (tmp_path / f"{module.replace('.', '/')}.py").unlink()
         sort, names = removable()[module]
         for name in names:
-            text, count = re.subn(rf'(?s)(    "{sort}": {{.*?\n)        "{name}": [^\n]*\n', r"\1", text, count=1)
+            row = rf'        "{name}": (?:\(\n.*?\n        \),|[^\n]*)\n'
+            text, count = re.subn(rf'(?s)(    "{sort}": {{.*?\n){row}', r"\1", text, count=1)
             assert count == 1
     (tmp_path / TABLE).write_text(text, encoding="utf-8")
     code = "\n".join([CHECK, *(use for use, _ in uses)])
@@ -121,7 +127,7 @@ def test_the_core_drives_without_any_extension(tmp_path):
 WITHOUT_METRIC = """
 import importlib, pathlib, sys
 from models.common.extensions import METRICS
-assert sys.argv[1] not in METRICS
+assert not {*sys.argv[1:]} & {*METRICS}
 for path in sorted(pathlib.Path("sim").rglob("*.py")):
     if path.name != "__main__.py" and "gallery" not in path.parts[1:2]:
         importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
@@ -141,20 +147,21 @@ duration = 0.2
 """
 
 
-@pytest.mark.parametrize("name", in_the_suite(("ride",), METRICS))
-def test_all_else_works_without_a_metric(name, tmp_path):
-    """In a copy without a metric every module is imported, a full car is driven, and a campaign finds its best controller."""
+@pytest.mark.parametrize("names", in_the_suite([("ride",)], [("ride",), [name for name in METRICS if name != "ride"]]), ids=len)
+def test_all_else_works_without_a_metric(names, tmp_path):
+    """In a copy without ride, or with ride alone, modules are imported, a car is driven, and a campaign finds its best controller."""
     copied(tmp_path, "models", "synth", "sim")
     table = tmp_path / TABLE
-    text, count = re.subn(rf'(?m)^        "{name}": f"{{_STANDARD}}.*\n', "", table.read_text(encoding="utf-8"))
-    assert count == 1
-    table.write_text(text, encoding="utf-8")
-    module, _, named = METRICS[name].partition(":")
-    file = tmp_path / f"{module.replace('.', '/')}.py"
-    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
-    (of_class,) = (one for one in ast.parse("".join(lines)).body if isinstance(one, ast.ClassDef) and one.name == named)
-    del lines[of_class.lineno - 1 : of_class.end_lineno]
-    file.write_text("".join(lines), encoding="utf-8")
+    for name in names:
+        text, count = re.subn(rf'(?m)^        "{name}": f"{{_STANDARD}}.*\n', "", table.read_text(encoding="utf-8"))
+        assert count == 1
+        table.write_text(text, encoding="utf-8")
+        module, _, named = METRICS[name].partition(":")
+        file = tmp_path / f"{module.replace('.', '/')}.py"
+        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+        (of_class,) = (one for one in ast.parse("".join(lines)).body if isinstance(one, ast.ClassDef) and one.name == named)
+        del lines[of_class.lineno - 1 : of_class.end_lineno]
+        file.write_text("".join(lines), encoding="utf-8")
     (tmp_path / "campaign.toml").write_text(RUNS, encoding="utf-8")
-    done = subprocess.run([sys.executable, "-c", WITHOUT_METRIC, name], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", WITHOUT_METRIC, *names], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
