@@ -149,7 +149,7 @@ duration = 0.2
 
 @pytest.mark.parametrize("names", in_the_suite([("ride",)], [("ride",), [name for name in METRICS if name != "ride"]]), ids=len)
 def test_all_else_works_without_a_metric(names, tmp_path):
-    """In a copy without ride, or with ride alone, modules are imported, a car is driven, and a campaign finds its best controller."""
+    """In a copy without ride, or with ride alone, modules are imported, a car is driven, and a campaign finds its best one."""
     copied(tmp_path, "models", "synth", "sim")
     table = tmp_path / TABLE
     for name in names:
@@ -163,5 +163,6 @@ def test_all_else_works_without_a_metric(names, tmp_path):
         del lines[of_class.lineno - 1 : of_class.end_lineno]
         file.write_text("".join(lines), encoding="utf-8")
     (tmp_path / "campaign.toml").write_text(RUNS, encoding="utf-8")
-    done = subprocess.run([sys.executable, "-c", WITHOUT_METRIC, *names], cwd=tmp_path, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", WITHOUT_METRIC, *names]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
