@@ -269,7 +269,7 @@ class Implementation(Section):
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation for signals that are all multiplied by a factor: noise and resolution are multiplied, too."""
+        """Returns the implementation after all signals are multiplied by a factor, as are noise and resolution."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 

@@ -202,7 +202,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
         drawn: False to omit visual parts. A step then gives the same numbers, but takes about 5 % less time.
 
     Raises:
-        InputError: as in `build_spec`. Also raised if the model does not match the equations of motion.
+        InputError: any error of `build_spec`; or the model does not match the equations of motion.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -332,9 +332,9 @@ TRIALS = 3
 def has_geometry(vehicle: Vehicle) -> bool:
     """Returns True if the model is linear for small motions only, whatever its parameters.
 
-    There are three reasons: masses, weights or lever arms of tendons and actuators change with the position; a spring or damper
-    is a polynomial; or a sensor measures more than a sum of positions, velocities and accelerations. An example of such a
-    sensor measures the velocity of a point on a rotating body.
+    The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
+    position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and
+    accelerations, for example the velocity of a point on a rotating body.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)

@@ -102,7 +102,7 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields parts that are evaluated together, with their suspensions, their own states, and the arguments of their force."""
+        """Yields parts that are evaluated together, with their suspensions, own states and arguments of the force."""
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):

@@ -439,8 +439,8 @@ class Vehicle(ShownResult):
         """Returns the vehicle without a part of its limits or implementation; the same vehicle if it does not have this part.
 
         Args:
-            part: `noise` for measurement noise and quantisation, `delay` for the delay of the forces, `limits` for the largest
-                force and the bump stops, `lag` for the lag of actuators or valves.
+            part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
+                force and bump stops) or `lag` (of actuators or valves).
 
         Raises:
             InputError: the part has another name.
@@ -721,7 +721,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: as in `read_vehicle`. Also raised if the text names a file with a control law, because only `read_vehicle`
+        InputError: any error of `read_vehicle`; or the text names a file with a control law, because only `read_vehicle`
             reads other files.
 
     Example:
