@@ -1,9 +1,9 @@
 """Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
 
 One actuator represents one straight segment of a characteristic. Its control is zero, its bias is affine in length or speed,
-and a `forcerange` clips it. (Its gain stays 1. If the gain were minus the slope of the bias over length, MuJoCo would interpret
-a positive slope over speed as a damping ratio.) The suspension's own spring and damper stay and give the linearised force. The
-segments add the deviation from it.
+and a `forcerange` clips it. The gain stays 1: if it were minus the slope of the bias over length, MuJoCo would interpret a
+positive slope over speed as a damping ratio. The suspension's own spring and damper stay and give the linearised force. The
+segments add the deviation from this force.
 
 A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """

@@ -6,8 +6,8 @@ Linear analysis uses the linearisation at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
-and all simulations add the difference between the force and this linearisation. To add a part, write a class in a file of this
-folder, or a force element of `[parts]` in a file of `elements`, and add a line to `EXTENSIONS` of `models.common.extensions`.
+and all simulations add the difference between the force and this linearisation. A new part is a class in a file of this folder,
+or a force element of `[parts]` in a file of `elements`. It also needs a line in `EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -601,6 +601,5 @@ def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
         return first
     # Without `__post_init__`, which checks single numbers and has already checked each part
     together = object.__new__(type(first))
-    # Pyright: ignore[reportArgumentType]
-    vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})
+    vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})  # pyright: ignore[reportArgumentType]
     return together

@@ -81,8 +81,7 @@ class SetElement(SettablePart):
     without: Part
 
     states, fastest = _of("element", "states"), _of("element", "fastest")
-    # Pyright: ignore[reportIncompatibleMethodOverride]
-    line, is_nonlinear = _of("without", "line"), _of("without", "is_nonlinear")
+    line, is_nonlinear = _of("without", "line"), _of("without", "is_nonlinear")  # pyright: ignore[reportIncompatibleMethodOverride]
     range = _of("without", "range")  # pyright: ignore[reportIncompatibleMethodOverride]
     kinked_at_rest = _of("without", "kinked_at_rest")  # pyright: ignore[reportIncompatibleMethodOverride]
 

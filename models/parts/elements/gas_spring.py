@@ -9,8 +9,9 @@ The polytropic exponent n is 1 for slow motion at constant temperature, and 1.4 
 stiffness at equilibrium is n p_0 A^2 / V_0 (J. Reimpell, H. Stoll, J. W. Betzler, The Automotive Chassis, 2nd ed., section
 5.3).
 
-At another temperature T, the load and the pressure in equilibrium stay the same. As in hydropneumatic suspensions, a level
-control with oil keeps the ride height, while the volume of the gas changes: V_0 is the volume in the file times T / T_0.
+At another temperature T, the load and the pressure in equilibrium stay the same. A level
+control with oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas changes: V_0 is the volume in
+the file times T / T_0.
 """
 
 from dataclasses import dataclass
