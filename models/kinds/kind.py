@@ -318,11 +318,11 @@ class VehicleKind(CheckedFields):
             such loads.
         wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
             file describes them.
-        carried: function of the parameters, the direction, the force on the body [N] and the acceleration of the wheels [m/s2]:
-            loads that suspension links and wheel inertia add to the moment of the force on the body. The direction is
-            `roll_load` for a force to the right, or `pitch_load` for a forward force.
-        angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals,
-            {"pitch_angle": {signal: factor}}, and the same for `roll_angle`.
+        carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
+            body. Its arguments are the parameters, the direction, the force [N] and the acceleration of the wheels [m/s2]. The
+            direction is `roll_load` for a force to the right, or `pitch_load` for a forward force.
+        angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals. The result has
+            the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
         motion: function of the parameters: exact equations of motion, independent of the MJCF. None if the type has no exact
             equations; MuJoCo is then compared only with the linear model.
         static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.

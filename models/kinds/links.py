@@ -24,9 +24,9 @@ angle of a line to the instant centre in side view. Then (Gillespie, ch. 7; Mill
     anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L /
     h.
 
-The line begins at the tyre contact point if the links react the wheel torque, as for brakes at the wheel and for a driven solid
-axle. The line begins at the wheel centre if the body reacts the torque, as for inboard brakes and for a driven wheel with
-independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
+The line begins at the tyre contact point if the links react the wheel torque. Examples are brakes at the wheel and a driven
+solid axle. The line begins at the wheel centre if the body reacts the torque. Examples are inboard brakes and a driven wheel
+with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
 Such a link pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertia of the wheels does
 not push the body. The inertial force of m_u at its height is a moment on the tyres: of one axle in cornering, of both axles in

@@ -12,7 +12,7 @@ where d and t are the deflections of suspensions and tyres, and l contains the l
 consists of relative displacements and of velocities: x = (d, P t, q', z_u').
 
 An anti-roll bar is a torsion spring between body and axle. Its angle is the roll angle of the body relative to the axle,
-a = (d_left - d_right) / track, and its moment k a is a pair of forces at the two wheels. K_s is diagonal without bars; each bar
+a = (d_left - d_right) / track. Its moment k a is a pair of forces at the two wheels. K_s is diagonal without bars; each bar
 adds k (e_l - e_r)(e_l - e_r)' / track^2.
 
 A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then
@@ -254,9 +254,9 @@ def linear_model(
         states: signals of the state (d, P t, q', z_u'), c + p + k + c of them.
         inputs: signals of the c control forces.
         disturbances: signals of the c road velocities.
-        outputs: output signals in this order: the states; the tyre deflections, unless they are states; q''; velocity and
-            acceleration of the body above each corner; the control forces; the accelerations of the wheels; and heights of the
-            body, of the body above each corner, and of the wheels.
+        outputs: output signals in this order: the states; the tyre deflections, unless they are states; and q''. Then velocity
+            and acceleration of the body above each corner, the control forces, and the accelerations of the wheels. Last, the
+            heights of the body, of the body above each corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)

@@ -66,9 +66,9 @@ class RigidMotion:
         shape: S of `RigidBody`, shape (c, k).
         yaw_inertia: I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
-        further: names of other signals, in this order: k accelerations of the body; velocities, then accelerations, of its c
-            points above the hubs; accelerations of the hubs; heights of the centre of mass, of the c points, and of the hubs. A
-            body that only moves vertically has one acceleration and one height, and those of its hub.
+        further: names of other signals. First the k accelerations of the body, then the velocities and the accelerations of its
+            c points above the hubs, then the accelerations of the hubs. Last, the heights of the centre of mass, of the c
+            points and of the hubs. A body that only moves vertically has one acceleration and one height, and those of its hub.
     """
 
     body: RigidBody
