@@ -92,12 +92,12 @@ def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quan
 
 
 def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Two-state groundhook: hard if the damper opposes the motion of the wheel, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
+    """Two-state groundhook: hard if the damper opposes the wheel's motion, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
     return _choose(-wheel * (body - wheel) > 0, of.c_max, of.c_min)
 
 
 def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Weighted sum of the forces of a damper to the sky and one to the ground, where possible (Ahmadian 1997)."""
+    """Weighted sum of the forces of a damper to the sky and one to the ground (Ahmadian 1997)."""
     v = body - wheel
     sky = _choose(body * v > 0, -of.sky * body, 0.0)
     ground = _choose(-wheel * v > 0, of.ground * wheel, 0.0)
