@@ -1,25 +1,26 @@
-"""Models of vehicles: equations, MJCF and parameters, side by side, and the names of all signals.
+"""Vehicle models: equations of motion, MuJoCo models, parameters, signal names, roads and control laws.
 
-Public names, imported when they are first used; all units are SI:
+Start with `read_vehicle`, which reads a vehicle file or a built-in vehicle, and with `choose_road`, which turns a text such as
+"bump" into a road. All quantities are in SI units. Each public name is imported at its first use:
 
 - vehicles: `read_vehicle`, `parse_vehicle`, `Vehicle`
-- roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; `Road` is their common
-  base, and `choose_road` reads them as text
-- a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
-  `BodyLoad`, `Invariant`, `GRAVITY`
-- a law of your own: `LinearLaw`
-- measured signals from a file: `read_measured_log`
-- bad input of any kind: `InputError`, whose message is one line with the cause and the repair
+- roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; their base class `Road`; and
+  `choose_road`, which reads a road from a text
+- custom vehicle types: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`, `BodyLoad`,
+  `Invariant`, `GRAVITY`
+- custom linear control laws: `LinearLaw`
+- measured signals from a log file: `read_measured_log`
+- errors: `InputError`, raised for any invalid input; its message is one line that gives the cause and the correction
 
 All other names may move without notice.
 """
 
 from models.common.lazy import attach
 
-USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period by default
+USUAL_TIMESTEP = 1e-3  # default timestep of runs [s], and so the default sample period of controllers
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # what type checkers and editors see
+if TYPE_CHECKING:  # imports for type checkers and editors
     from models.common.errors import InputError
     from models.common.logs.measured_log import read_measured_log
     from models.kinds import signals

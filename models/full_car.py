@@ -1,7 +1,8 @@
-"""Full car: heave, pitch and roll of a body on four wheels. Its equations are in `kinds/rigid_body.py`.
+"""Full car: heave, pitch and roll of a body on four wheels. The equations are in `kinds/rigid_body.py`.
 
-Its fourteen states hold the tyre deflections as three modes, which a rigid body can follow, and not as four wheels: the fourth
-mode, the twist, is fixed by the suspension deflections and the twist of the road. Different tracks on the axles change it alone.
+Its fourteen states contain three modes of the tyre deflections, those that a rigid body can follow, instead of four tyre
+deflections. The fourth mode, warp, follows from the suspension deflections and the warp of the road. If the axles have
+different track widths, only the warp mode changes.
 """
 
 import numpy as np
@@ -16,13 +17,13 @@ AXLES = rigid_body.AXLES
 SIDES = ("left", "right")
 CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
 
-# Modes of four wheels, front left, front right, rear left, rear right, signed as the body's: nose down, right side down.
+# Modes of four wheels (front left, front right, rear left, rear right). Signs are those of the body: nose down, right side down.
 MODES = {
     "heave": np.array([1.0, 1.0, 1.0, 1.0]) / 4,
     "pitch": np.array([-1.0, -1.0, 1.0, 1.0]) / 4,
     "roll": np.array([1.0, -1.0, 1.0, -1.0]) / 4,
 }
-TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # of four wheels on tracks of equal width
+TWIST = np.array([1.0, -1.0, -1.0, 1.0])  # warp of four wheels on axles of equal track width
 
 
 PARAMETERS = (
@@ -80,7 +81,7 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def check(p: Parameters) -> None:
-    """Refuses an impossible body."""
+    """Raises InputError if the parameters do not describe a possible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_inertia(
         "roll_inertia", p["roll_inertia"], p["sprung_mass"], max(links.track(axle, p) for axle in AXLES), "track"

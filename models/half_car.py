@@ -1,4 +1,7 @@
-"""Half-car in the pitch plane: heave and pitch on two axles, a side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
+"""Half-car in the pitch plane: one side of a symmetric car, with heave and pitch on two axles.
+
+The equations are in `kinds/rigid_body.py`.
+"""
 
 import numpy as np
 
@@ -35,7 +38,7 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def check(p: Parameters) -> None:
-    """Refuses an impossible body."""
+    """Raises InputError if the parameters do not describe a possible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_stands(_body(p))
 

@@ -1,7 +1,8 @@
 """Half-car in the roll plane: heave and roll of a body on a left and a right wheel, seen from behind.
 
-Its equations: `kinds/rigid_body.py`. Both wheels are in one cross-section, so that no wheel follows another: each has its own
-track of the road. A full car with equal axles at equal distances moves as two of these cars if both axles have the same road.
+The equations are in `kinds/rigid_body.py`. Both wheels are in one cross-section, so no wheel follows another, and each drives
+on its own track of the road. A full car with equal axles moves like two of these half-cars if both axles drive over the same
+road. The axles must have equal distances from the centre of mass.
 """
 
 import numpy as np
@@ -51,8 +52,8 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def check(p: Parameters) -> None:
-    """Refuses an impossible body."""
-    # Published cars of this type often have springs, and so their `track`, far inside the wheels.
+    """Raises InputError if the parameters do not describe a possible body."""
+    # In published models of this type, `track` is often the distance of the springs, far inside the wheels.
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], 2 * p["track"], "doubled track")
     if abs(offset := p.get("centre_offset", 0.0)) >= p["track"] / 2:
         raise InputError(

@@ -1,7 +1,7 @@
-"""Quarter-car of the paper, section 3.1: a sprung and an unsprung mass, a spring, a damper, a motor and a tyre.
+"""Quarter-car of the paper, section 3.1: a sprung and an unsprung mass, a spring, a damper, an actuator and a tyre.
 
-Equations (28)-(32). All displacements are measured from static equilibrium, so gravity does not appear here. In the MJCF it
-does: preloads hold the masses up, and the tyre can leave the road.
+The equations are (28)-(32). All displacements are relative to static equilibrium, so gravity does not appear in the equations.
+The MJCF includes gravity: preloads support the masses, and the tyre can leave the road.
 """
 
 import math
@@ -76,12 +76,12 @@ def linear_model(p: Parameters) -> LinearModel:
         A[3, 3] -= c_u / m_u
         Bw = Bw + Bt
 
-    # Signals: the four states, then z_s'' by the first line of (28), then u itself, then z_u'' by the second line.
-    # Heights are sums of deflections and the road's height.
+    # Signals: the four states, then z_s'' by the first equation of (28), then u itself, then z_u'' by the second equation.
+    # Heights are sums of deflections and the road height.
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3], [1, 1, 0, 0], [0, 1, 0, 0]])
     D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3], np.zeros((2, 1))])
 
-    # A vertical force on the body acts by the first line of (28), as u does, but not on the wheel.
+    # A vertical force on the body acts in the first equation of (28), as u does, but not on the wheel.
     Bl = np.array([[0], [0], [1 / m_s], [0]])
     Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3], np.zeros((2, 1))])
 
@@ -107,21 +107,22 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """Returns the compression of the tyre at rest [m]: the weight of all masses over k_u."""
+    """Returns the static compression of the tyre [m]: the weight of all masses divided by k_u."""
     weight = (p["sprung_mass"] + p.get("seat_mass", 0.0) + p["unsprung_mass"]) * GRAVITY
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
 
 
 def static_loads(p: Parameters) -> dict[str, float]:
-    """Returns the weight on the suspension [N]."""
+    """Returns the static load on the suspension [N]."""
     return {signals.SUSPENSION_DEFLECTION.name: (p["sprung_mass"] + p.get("seat_mass", 0.0)) * GRAVITY}
 
 
 def write_mjcf(spec: Any, p: Parameters) -> None:
     """Writes the parameters into the MjSpec of `quarter_car.xml`.
 
-    The two preloads make qpos = 0 the static equilibrium: the suspension spring carries m_s g, the tyre (m_s + m_u) g. The tyre's
-    rest length is its length in the drawing plus its preload; above that it is slack (dead band), so the wheel can lift.
+    Two preloads make qpos = 0 the static equilibrium: the suspension spring carries m_s g, the tyre carries (m_s + m_u) g. The
+    tyre's rest length is its length in the drawing plus the static compression. Above the rest length, the tyre is slack (dead
+    band), so the wheel can lift off.
     """
     spec.body("sprung").mass = p["sprung_mass"]
     spec.body("unsprung").mass = p["unsprung_mass"]
@@ -135,7 +136,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
 
 
 def motion(p: Parameters) -> "Motion":
-    """Returns the equations of motion, in which the tyre pushes and never pulls: a body on one strut, which only heaves."""
+    """Returns the equations of motion, in which the tyre pushes and never pulls: a body on one strut that only heaves."""
     from models.kinds.rigid_body import Corner, RigidBody
     from models.kinds.rigid_motion import rigid_motion
 
@@ -155,26 +156,26 @@ def motion(p: Parameters) -> "Motion":
 
 
 def hub_frequency(p: Parameters) -> float:
-    """Returns the frequency of the wheel on its tyre alone [rad/s]."""
+    """Returns the natural frequency of the wheel on its tyre without suspension [rad/s]."""
     return math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"])
 
 
 def mass_ratio(p: Parameters) -> float:
-    """Returns the unsprung mass over the sprung mass."""
+    """Returns the unsprung mass divided by the sprung mass."""
     return p["unsprung_mass"] / p["sprung_mass"]
 
 
 def rigid_frequency(p: Parameters) -> float:
-    """Returns the frequency of both masses as one on the tyre [rad/s]."""
+    """Returns the natural frequency of both masses, rigidly connected, on the tyre [rad/s]."""
     return math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"]))
 
 
 def whole_ratio(p: Parameters) -> float:
-    """Returns the whole mass over the sprung mass."""
+    """Returns the total mass divided by the sprung mass."""
     return (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"]
 
 
-# From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which contains no suspension force.
+# These follow from m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which does not contain the suspension force.
 INVARIANTS = (
     Invariant(
         name="z_s/z_r",

@@ -1,15 +1,16 @@
-"""A damper's force over velocity, or a spring's over deflection, as straight lines from point to point.
+"""A damper's force over velocity, or a spring's force over deflection, as a piecewise linear characteristic.
 
-Both arguments are positive if the suspension stretches, and a force is positive if it pulls body and wheel together: so a damper
-takes energy if force and velocity have the same sign. Beyond its last points a curve continues with its last slope.
+Both arguments are positive if the suspension extends. A force is positive if it pulls body and wheel together, so a damper
+dissipates energy if force and velocity have the same sign. Beyond its last points, a characteristic continues with its last
+slope.
 
-Linear analysis uses the slope s at rest; at a kink there, the mean of both sides. The deviation of the curve F from that line is
-a sum of straight pieces, each between its bounds,
+Linear analysis uses the slope s at 0; at a kink, it uses the mean slope of both sides. The deviation of the force F from this
+line is a sum of straight segments, each between two bounds:
 
-    F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i),
+    F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i).
 
-one for every segment whose slope is not s, measured from its end nearer to rest. A straight curve has no pieces. A curve that
-falls in some segments is such a sum as well.
+There is a term for every segment whose slope is not s, measured from the end of the segment that is closer to 0. A straight
+characteristic has no terms. The sum is also valid for a characteristic that falls in some segments.
 """
 
 from collections.abc import Sequence
@@ -23,17 +24,18 @@ from models.characteristics.curve_lines import lines_from_rest, slopes_at_rest
 from models.common.arrays import Array
 from models.common.errors import InputError
 
-STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
+STRAIGHT = 1e-12  # relative to the steepest slope; a smaller difference of two slopes is a rounding error
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Straight pieces, P of them, of a curve's deviation from its line, or those of several curves, shape (..., P).
+    """Segments of the deviation of a characteristic from its line: P segments, or P for each of several, shape (..., P).
 
     Attributes:
-        slope: a [N per unit of the argument], shape (P,).
-        start: k, the end nearer to rest [the argument's unit], shape (P,).
-        low, high: bounds of each force [N], shape (P,); infinite for a piece without end.
+        slope: a [N per unit of the argument], shape (..., P).
+        start: k, the end of the segment that is closer to 0 [unit of the argument], shape (..., P).
+        low: lower bound of the force [N], shape (..., P); infinite for a segment without end.
+        high: upper bound of the force [N], shape (..., P); infinite for a segment without end.
     """
 
     slope: Array
@@ -42,17 +44,17 @@ class Pieces:
     high: Array
 
     def force(self, x: Array) -> Array:
-        """Returns the sum of the pieces at some arguments [N], shape (...)."""
-        # This runs in each stage of a step: NumPy's `clip` and `sum` take twice as long.
+        """Returns the sum of the segments at given arguments [N], shape (...)."""
+        # This runs in each stage of a step. NumPy's `clip` and `sum` take twice as long.
         return np.minimum(np.maximum(self.slope * (np.asarray(x)[..., None] - self.start), self.low), self.high).dot(self._ones)
 
     def __getitem__(self, which: Array | slice) -> "Pieces":
-        """Returns the pieces of some of several curves."""
+        """Returns the segments of selected characteristics."""
         return Pieces(self.slope[which], self.start[which], self.low[which], self.high[which])
 
     @staticmethod
     def stacked(each: "Sequence[Pieces | None]", shape: tuple[int, ...]) -> "Pieces":
-        """Returns the pieces of several curves, shape (*shape, P); those of None are 0."""
+        """Returns the segments of several characteristics, shape (*shape, P). The segments of None are 0."""
         stacked = np.zeros((4, len(each), max(len(one.slope) for one in each if one is not None)))
         for i, one in enumerate(each):
             if one is not None:
@@ -69,14 +71,14 @@ class ForceCurve:
     """Force over velocity or deflection.
 
     Attributes:
-        x: points [m/s or m], ascending, with 0 among the inner ones, shape (n,).
+        x: points [m/s or m], ascending, including 0 between the first and the last point, shape (n,).
         force: forces at the points [N], 0 at x = 0, shape (n,).
-        slope: slope of its line in linear analysis [N s/m or N/m].
-        words: description of the curve, a phrase.
-        at_rest: force of its table at rest, which is not part of the curve [N].
-        note: remark of its table, a phrase.
-        whole: curve of all points of its table, if this curve has fewer.
-        error: largest difference from that curve [N].
+        slope: slope of the line in linear analysis [N s/m or N/m].
+        words: description of the characteristic, a phrase.
+        at_rest: force of the table in equilibrium, which is not part of `force` [N].
+        note: remark about the table, a phrase.
+        whole: characteristic with all points of the table, if this one has fewer points.
+        error: largest difference from `whole` [N].
     """
 
     x: Array
@@ -90,32 +92,35 @@ class ForceCurve:
 
     @staticmethod
     def together(curves: "Sequence[ForceCurve]", shape: tuple[int, ...]) -> "StackedCurves":
-        """Returns curves that are evaluated together, for arguments of a shape (..., *shape)."""
+        """Returns several characteristics that are evaluated together, for arguments of shape (..., *shape)."""
         return StackedCurves(
             Pieces.stacked([one.pieces for one in curves], shape), np.reshape([one.slope for one in curves], shape)
         )
 
     def __call__(self, x: Array) -> Array:
-        """Returns the force at some arguments [N], shape (...)."""
+        """Returns the force at given arguments [N], shape (...)."""
         line = self.slope * np.asarray(x)
         return line + self.pieces.force(x) if self.is_nonlinear else line
 
     def scaled(self, factor: float) -> "ForceCurve":
-        """Returns the curve with all forces multiplied by a factor."""
+        """Returns the characteristic with all forces multiplied by a factor."""
         if factor == 1:
             return self
         whole = self.whole and self.whole.scaled(factor)
         return replace(self, force=factor * self.force, slope=factor * self.slope, whole=whole, error=factor * self.error)
 
     def at_wheel(self, ratio: float) -> "ForceCurve":
-        """Returns the curve of the force at the wheel, of an element with a motion ratio: r F(r x)."""
+        """Returns the characteristic of the force at the wheel, r F(r x), for an element with the motion ratio r."""
         return self if ratio == 1 else replace(self, x=self.x / ratio, force=ratio * self.force, slope=ratio**2 * self.slope)
 
     def about_load(self, more: float) -> "ForceCurve":
-        """Returns the curve of a spring about the rest at which it carries more load [N].
+        """Returns the characteristic of a spring relative to the equilibrium at which it carries more load.
+
+        Args:
+            more: additional load [N].
 
         Raises:
-            InputError: the table does not reach that load.
+            InputError: the table does not contain this load.
         """
         own = self.whole or self
         low, high = -float(own.force.max()), -float(own.force.min())
@@ -133,13 +138,13 @@ class ForceCurve:
 
     @cached_property
     def slopes(self) -> Array:
-        """Slopes of all segments, the two extrapolating ones included, shape (n + 1,)."""
+        """Slopes of all segments, including the two extrapolated ones, shape (n + 1,)."""
         within = np.diff(self.force) / np.diff(self.x)
         return np.concatenate([within[:1], within, within[-1:]])
 
     @cached_property
     def pieces(self) -> Pieces:
-        """Pieces of the deviation from its line."""
+        """Segments of the deviation from the line of linear analysis."""
         edges, rows = np.concatenate([[-np.inf], self.x, [np.inf]]), []
         for left, right, slope in zip(edges[:-1], edges[1:], self.slopes - self.slope, strict=True):
             if abs(slope) > STRAIGHT * np.abs(self.slopes).max():
@@ -150,7 +155,7 @@ class ForceCurve:
 
     @cached_property
     def is_nonlinear(self) -> bool:
-        """True if it differs from its line."""
+        """True if the characteristic differs from its line."""
         return len(self.pieces.slope) > 0
 
     @property
@@ -159,7 +164,7 @@ class ForceCurve:
         return float(self.slopes.min()), float(self.slopes.max())
 
     def work(self, x: Array) -> Array:
-        """Returns the deviation from its line, integrated from rest to some arguments, shape (...)."""
+        """Returns the integral from 0 to given arguments of the deviation from the line, shape (...)."""
         edges = np.concatenate([[-np.inf], self.x, [np.inf]])
         knots, x = self.pieces.force(self.x), np.asarray(x)
         to_knots = np.concatenate([[0.0], np.cumsum((knots[1:] + knots[:-1]) / 2 * np.diff(self.x))])
@@ -169,16 +174,19 @@ class ForceCurve:
 
     @cached_property
     def range(self) -> float:
-        """The largest force of its points, either way [N]."""
+        """Magnitude of the largest force of the points [N]."""
         return float(np.abs(self.force).max())
 
     @cached_property
     def departures_at(self) -> tuple[float, float]:
-        """Arguments below and above rest at which it first differs from its line by `LEAVES` of its range; infinite if never."""
+        """Arguments below and above 0 at which the deviation from the line first reaches `LEAVES` times the largest force.
+
+        Infinite if the deviation never reaches this limit.
+        """
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
-            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # as good as never
+            beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # far outside any range of motion
             x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)
@@ -193,23 +201,23 @@ class ForceCurve:
 
 @dataclass(frozen=True, eq=False)
 class StackedCurves:
-    """Several curves, evaluated together.
+    """Several characteristics that are evaluated together.
 
     Attributes:
-        pieces: pieces of each, shape (..., P).
-        slope: slope of the line of each, shape (...).
+        pieces: segments of each characteristic, shape (..., P).
+        slope: slope of the line of each characteristic, shape (...).
     """
 
     pieces: Pieces
     slope: Array
 
     def __call__(self, x: Array) -> Array:
-        """Returns the forces at arguments of each [N], shape (...)."""
+        """Returns the force of each characteristic at its argument [N], shape (...)."""
         return self.slope * x + self.pieces.force(x)
 
 
 def slope_at_rest(x: Array, force: Array) -> float:
-    """Returns the mean of the slopes on both sides of rest, from the points of a curve."""
+    """Returns the mean of the slopes on both sides of 0, from the points of a characteristic."""
     i = int(np.searchsorted(x, 0.0))
     slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
     return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())

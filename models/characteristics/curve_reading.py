@@ -1,4 +1,7 @@
-"""`[curves]` of a vehicle file: tables of a damper's force over velocity, or a spring's over deflection, checked and thinned."""
+"""`[curves]` of a vehicle file: tables of damper force over velocity, or of spring force over deflection.
+
+The tables are checked, and approximated with fewer points.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,17 +17,22 @@ from models.common.arrays import Array
 from models.common.errors import InputError, error_in, list_names
 from models.common.schema import HERE, SI, ListedValues, Section, Text, read
 
-FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
-FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
-FRICTION_POINTS = 601  # points of the smooth curve, of which the lines take some; the error between points is 1e-5
+FRICTION_ERROR = 0.02  # largest error of the straight segments, relative to the friction force
+FRICTION_ENDS = 3.0  # velocity relative to v0 above which the friction is constant
+FRICTION_POINTS = 601  # points of the smooth function, of which the segments use some; the error between two points is 1e-5
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
-    """Returns points of a friction F tanh(v / v0), with an error of at most `FRICTION_ERROR` F, shapes (k,).
+    """Returns points of a friction F tanh(v / v0).
+
+    Straight segments between the points have an error of at most `FRICTION_ERROR` F.
 
     Args:
         force: F [N].
         velocity: v0 [m/s].
+
+    Returns:
+        Velocities [m/s] and forces [N], shapes (k,).
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
@@ -35,26 +43,28 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
 
 
 MOST_POINTS = 20_000  # of a table
-MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs 2 % of a quarter-car's time step
-AT_REST = 2  # more lines of a thinned curve, which keep its slopes next to rest
-ERRORS = (0.005, 0.01, 0.02)  # over a curve's largest force, if its table has more lines than that: the first with few lines
-ROUNDING = 1e-9  # of a range
-CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
-SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistake
-LEAST_PULL = 0.01  # of a spring's largest pull: a table that carries less has its signs reversed
-MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; over the largest force
+MOST_LINES = 24  # segments of a characteristic without friction; each is an actuator that adds 2 % to a quarter-car's time step
+AT_REST = 2  # additional segments of an approximation, which keep the slopes of the table at 0
+# Errors of an approximation relative to the largest force, if a table has more segments than that. The first error with few
+# enough segments is used.
+ERRORS = (0.005, 0.01, 0.02)
+ROUNDING = 1e-9  # relative to a range
+CLOSEST = 1e-9  # smallest distance between points, relative to the range; closer points would be dominated by rounding errors
+SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; smaller values are probably mistakes
+LEAST_PULL = 0.01  # relative to a spring's largest pull; if a table carries less, its signs are probably reversed
+MOST_SLOPE, LARGEST_ERROR = 1e12, 0.05  # N/m or N s/m; relative to the largest force
 FRICTION = ("friction", "friction_velocity")
 ALONE = "is not allowed: a position-dependent damper cannot have friction, or other elements next to it; give it alone"
 
 
 @dataclass(frozen=True)
 class Argument(ListedValues):
-    """Argument of a curve: its ascending values.
+    """Argument of a characteristic, given as a list of ascending values.
 
     Attributes:
         name: key of the argument.
-        largest: largest allowed value; larger ones are in another unit.
-        small: the likely wrong unit.
+        largest: largest allowed value; larger values probably have another unit.
+        small: the unit that larger values probably have.
         slope: SI unit of force over the argument.
     """
 
@@ -64,7 +74,7 @@ class Argument(ListedValues):
     slope: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-        """Returns the values."""
+        """Returns the values of the argument."""
         x = np.array(super().read(value, context))
         for i in np.flatnonzero(np.diff(x) < CLOSEST * np.ptp(x))[:1].tolist():
             do = f"sort the points by {self.name}, each once" if x[i] >= x[i + 1] else "omit one of them"
@@ -90,7 +100,7 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class TableSection(Section):
-    """A table of values of a quantity over an argument, or the file that has the table."""
+    """A table of a quantity over an argument, or the name of a file with the table."""
 
     arguments: ClassVar[tuple[str, ...]] = ("velocity",)
     of: ClassVar[str] = "force"
@@ -120,7 +130,7 @@ class TableSection(Section):
 
 @dataclass(frozen=True)
 class CurveTable(TableSection):
-    """Force at some points, straight between these."""
+    """Force at given points, with linear interpolation."""
 
     preload: ClassVar[Any] = False
 
@@ -140,10 +150,10 @@ class StopTableSection(CurveTable):
 
 
 class Preload(SI):
-    """The load that a table carries at rest; true for the static load of the spring."""
+    """The load that a table carries in equilibrium; `true` for the static load of the spring."""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the load, or the truth value."""
+        """Returns the load, or True or False."""
         return value if isinstance(value, bool) else super().read(value, context)
 
     @property
@@ -203,14 +213,15 @@ class SurfaceTable(Section):
 def read_curves(
     section: Mapping[str, Any], parameters: Mapping[str, Argument], load: Callable[[str], float | None] = lambda name: None
 ) -> dict[str, ForceCurve]:
-    """Returns the curves of a vehicle, by the parameter that each replaces.
+    """Returns the characteristics of a vehicle, by the parameter that each replaces.
 
     Args:
-        parameters: parameters that a curve can replace, each with the curve's argument.
-        load: parameter -> static load of its spring [N], or None if it is unknown.
+        section: the section `[curves]`.
+        parameters: parameters that a characteristic can replace, each with the argument of the characteristic.
+        load: function that returns the static load of a spring [N] for the name of its parameter; None if it is unknown.
 
     Raises:
-        InputError: an entry is not a curve, or not one that a suspension can have.
+        InputError: an entry is not a characteristic, or not valid for a suspension.
     """
     curves = {}
     for name, entry in section.items():
@@ -225,13 +236,16 @@ def read_curves(
 
 
 def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | None] = lambda: None) -> ForceCurve:
-    """Returns a curve from its table, or from a list of tables and slopes that add up; `where` is its place, for messages.
+    """Returns a characteristic from its table, or from a list of tables and slopes whose forces are added.
 
     Args:
-        load: function that returns the static load of the spring [N], or None if it is unknown.
+        where: place of the entry, for messages.
+        entry: the table, or the list of tables and slopes.
+        over: argument of the characteristic.
+        load: function that returns the static load of the spring [N]; None if it is unknown.
 
     Raises:
-        InputError: the entry is not a curve, or not one that a suspension can have.
+        InputError: the entry is not a characteristic, or not valid for a suspension.
     """
     slopes, tables = [], []
     for one in entry if isinstance(entry, list) else [entry]:
@@ -239,13 +253,14 @@ def curve_of(where: str, entry: Any, over: Argument, load: Callable[[], float | 
             tables.append(read(where, DamperTable if over is VELOCITY else SpringTable, one))
         else:
             slopes.append(SI(over.slope, low=0.0, high=MOST_SLOPE).number(f"{where} a slope", one))
-    tables.sort(key=lambda one: one.preload is True)  # it carries what the others leave
+    # This table comes last, because it carries the load that the other tables leave
+    tables.sort(key=lambda one: one.preload is True)
     with error_in(f"{where}:"):
         return _sum(slopes, tables, over, load)
 
 
 def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: Callable[[], float | None]) -> ForceCurve:
-    """Returns the sum of slopes and tables."""
+    """Returns the sum of slopes and tables as one characteristic."""
     count = len(tables) + len(slopes)
     if not tables:
         raise InputError(f"has {count} numbers and no table; give their sum in [parameters]")
@@ -278,11 +293,14 @@ def _sum(slopes: Sequence[float], tables: Sequence[Any], over: Argument, load: C
 
 
 def _part(x: Array, force: Array, over: Argument, preload: float, alone: bool) -> tuple[Array, Array, float]:
-    """Returns the points of one table relative to rest, and its force at rest.
+    """Returns the points of one table relative to equilibrium, and its force in equilibrium.
 
     Args:
-        preload: load that it carries at rest, where it then is [N]; 0 if it is at rest at 0.
-        alone: False for one of several tables, which may be a stop on one side of rest.
+        x: deflections or velocities of the table [m or m/s], shape (n,).
+        force: forces of the table [N], shape (n,).
+        over: argument of the characteristic.
+        preload: load that the table carries in equilibrium [N]; 0 if the equilibrium is at 0 of the table.
+        alone: False if the table is one of several, and so may be a stop on one side of equilibrium.
     """
     if preload:
         x = x - _deflection_under_load(x, force, preload)
@@ -307,7 +325,7 @@ def _deflection_under_load(x: Array, force: Array, load: float) -> float:
 
 
 def _knots(parts: Sequence[Array]) -> Array:
-    """Returns the points of several curves, ascending, without those that rounding alone keeps apart; rest stays."""
+    """Returns the points of several characteristics in ascending order, without duplicates due to rounding. 0 stays a point."""
     x = np.unique(np.concatenate(parts))
     close = 2 * CLOSEST * (x[-1] - x[0])
     x = x[(np.abs(x) > close) | (x == 0)]
@@ -328,7 +346,10 @@ def _check_both_sides(x: Array, over: Argument) -> None:
 
 
 def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, float]:
-    """Returns the points with rest among them, the forces without that at rest, a spring's weight, and the force at rest."""
+    """Returns points that include the equilibrium, forces relative to that in equilibrium, and the force in equilibrium.
+
+    The force in equilibrium is the weight that a spring carries; it must be 0 for a damper.
+    """
     x = np.where(np.abs(x) < CLOSEST * (x[-1] - x[0]), 0.0, x)
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
@@ -348,7 +369,18 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array, fl
 
 
 def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Array, str]:
-    """Returns the curve in as few straight lines as will do, with the slopes of its points at rest, and its description."""
+    """Approximates a characteristic by as few straight segments as possible.
+
+    The segments at 0 have the slopes of the given points.
+
+    Args:
+        x: argument, ascending, shape (n,).
+        force: force [N], shape (n,).
+        fit_error: largest error relative to the largest force; None for the default.
+
+    Returns:
+        Argument and force of the remaining points, shapes (k,), and a description.
+    """
     largest = float(np.abs(force).max())
     indices = point_indices(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
@@ -369,7 +401,7 @@ def as_lines(x: Array, force: Array, fit_error: float | None) -> tuple[Array, Ar
 
 
 def _check_curve(curve: ForceCurve, over: Argument) -> ForceCurve:
-    """Returns the curve if a suspension can have it."""
+    """Returns the characteristic if it is valid for a suspension; otherwise raises an InputError."""
     if over is VELOCITY:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
             if x * force < 0:
@@ -409,7 +441,7 @@ def _surface(where: str, entry: Mapping[str, Any]) -> ForceSurface:
 
 
 def _with_friction(curve: ForceCurve, friction: float, creep: float) -> ForceCurve:
-    """Returns the curve with a friction F tanh(v / v0) added, which leaves the slope of linear analysis unchanged."""
+    """Returns the characteristic with an added friction F tanh(v / v0), which does not change the slope of linear analysis."""
     v, force = friction_points(friction, creep)
     x = np.unique(np.concatenate([curve.x, v]))
     straight = np.interp(np.clip(x, v[0], v[-1]), v, force)

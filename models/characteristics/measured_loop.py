@@ -1,12 +1,13 @@
-"""Mean characteristic of a measured loop: the points of a test that moves a damper, spring or stop back and forth.
+"""Mean characteristic of a measured loop, from the points of a test that moves a damper, spring or stop back and forth.
 
-The force of such a test depends on the direction, too. The points belong to the branch on which the argument rises or to the one
-on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and half of their difference
-is the hysteresis. Noise may leave a mean that falls; the nearest one that does not, in least squares, takes its place (isotonic
-regression).
+In such a test, the force also depends on the direction of motion. Each point belongs to the branch on which the argument rises
+or to the branch on which it falls. Each branch is averaged in bins. The characteristic is the mean of both branches, and the
+hysteresis is half of their difference. Because of noise, the force of the mean may fall in places. It is then replaced by the
+closest function, in the least-squares sense, that does not fall (isotonic regression).
 
-With play or friction, a damper's slope at rest differs from the coefficient of the linear damper that dissipates as much energy
-over the test, the sum of F v over the sum of v^2 for samples at even times. A remark contains both.
+With play or friction, a damper's slope at velocity 0 differs from the coefficient of the linear damper that dissipates the same
+energy in the test. This coefficient is the sum of F v divided by the sum of v^2, for samples at a constant rate. The note of
+the characteristic contains both values.
 """
 
 import numpy as np
@@ -15,11 +16,12 @@ from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
 from models.common.printed import rough
 
-LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"  # in the phrase about a loop; the second for dampers
-TURN = 0.1  # of the range: a smaller reversal is noise
-OVERLAP = 0.5  # of the range: branches that share less are not those of a loop
-BINS = 200  # of each branch
-ROUNDING = 1e-9  # of the largest force
+# Texts in the note about a loop; the second one only for dampers
+LOOP, ENERGY = "mean of a measured loop", "by dissipated energy"
+TURN = 0.1  # relative to the range; a smaller reversal is noise
+OVERLAP = 0.5  # relative to the range; branches that overlap less are not a loop
+BINS = 200  # number of bins in each branch
+ROUNDING = 1e-9  # relative to the largest force
 
 
 def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Array, Array, str] | None:
@@ -27,13 +29,13 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
     Args:
         x: argument in the order of the measurement, shape (n,).
-        force: shape (n,) [N].
+        force: force [N], shape (n,).
         unit: unit of the argument.
-        at_rest: True if the force of the mean at 0 is subtracted, as the gas of a damper causes it.
+        at_rest: True to subtract the force of the mean at 0, which the gas of a damper causes.
 
     Returns:
-        Argument and force, ascending, shapes (k,), and in a phrase the largest hysteresis, the subtracted force, and for a damper
-        the coefficient that dissipates as much.
+        Argument (ascending) and force of the mean, shapes (k,), and a phrase. The phrase gives the largest hysteresis, the
+        subtracted force and, for a damper, the coefficient that dissipates the same energy.
     """
     from scipy.optimize import isotonic_regression
     from scipy.signal import find_peaks
@@ -62,7 +64,7 @@ def mean_of_loop(x: Array, force: Array, unit: str, at_rest: bool) -> tuple[Arra
 
 
 def slope_words(curve: ForceCurve) -> str:
-    """Returns the slope at rest of the mean of a loop, and the range over which it is taken; empty for other curves."""
+    """Returns a phrase about the slope of a loop's mean at 0, and the range in which it is taken; empty for other curves."""
     if LOOP not in curve.note:
         return ""
     i = int(np.searchsorted(curve.x, 0.0))
@@ -72,7 +74,7 @@ def slope_words(curve: ForceCurve) -> str:
 
 
 def _bin_means(x: Array, force: Array, start: float, span: float) -> tuple[Array, Array]:
-    """Returns the mean points of a branch in bins of the argument, ascending."""
+    """Returns the mean points of a branch in bins of the argument, in ascending order."""
     which = np.minimum(((x - start) / span * BINS).astype(int), BINS - 1)
     count = np.bincount(which, minlength=BINS)
     means = [np.bincount(which, values, BINS)[count > 0] / count[count > 0] for values in (x, force)]

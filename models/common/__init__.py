@@ -1,1 +1,1 @@
-"""Foundations of all packages: arrays, errors, options, files, Ctrl-C, threads; no vehicle."""
+"""Common code of all packages, without vehicles: arrays, errors, options, files, units, interrupts and threads."""

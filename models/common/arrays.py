@@ -1,6 +1,6 @@
-"""The array type of all signatures, the check of matrices given by users, and linear recursions.
+"""The array type of all signatures, a check for matrices from users, and linear recursions.
 
-Shapes and units are in the docstrings; entries are float64 unless those say complex.
+Docstrings give shapes and units. Entries are float64 unless a docstring says that they are complex.
 """
 
 import itertools
@@ -12,40 +12,42 @@ import numpy as np
 from models.common.errors import InputError
 
 Array = np.ndarray
-MOST = 2000  # rows or columns; more needs methods for large sparse systems
+MOST = 2000  # rows or columns; larger models need methods for large sparse systems
 
 
 def is_masked(value: object) -> bool:
-    """Returns True for an array, or nested lists, in which a value is masked."""
-    masks = sys.modules.get("numpy.ma")  # which takes time to import, and is there if a masked array is
+    """Returns True for an array, or nested lists, with a masked value."""
+    masks = sys.modules.get("numpy.ma")  # importing this module takes time, and it is already imported if a masked array exists
     if masks is None or not isinstance(value, np.ndarray | list | tuple):
         return False
     return masks.is_masked(value) if isinstance(value, np.ndarray) else any(is_masked(one) for one in value)
 
 
 def check_unmasked(name: str, value: object) -> None:
-    """Refuses masked values, whose mask arithmetic would lose.
+    """Refuses masked values, because calculations would lose the mask.
 
     Raises:
-        InputError: a value is masked; the message names the array.
+        InputError: a value is masked. The message gives the name of the array.
     """
     if is_masked(value):
         raise InputError(f"{name} has masked values; fill them, for example with filled(0.0), or remove them")
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:
-    """Returns a copy of a real matrix, and the size of its largest entry.
+    """Returns a copy of a real matrix, and the magnitude of its largest entry.
 
     Args:
-        value: the matrix, or nested lists; complex numbers without imaginary part are allowed.
-        largest: limit on the magnitude of an entry; infinite for no limit.
-        expected: shape required, in words for messages; empty if any shape is allowed.
+        value: the matrix, or nested lists. Complex numbers are allowed if all imaginary parts are 0.
+        name: name of the argument, for messages.
+        largest: limit on the magnitude of an entry; infinity for no limit.
+        expected: required shape as text, for messages; empty if any shape is allowed.
 
     Returns:
-        The matrix, and the size of its largest entry, which callers need, too: computing it takes as long as the check.
+        The matrix, and the magnitude of its largest entry. Callers need this number as well, and computing it takes as long as
+        the check.
 
     Raises:
-        InputError: the value is not such a matrix; the message names the argument.
+        InputError: the value is not such a matrix. The message gives the name of the argument.
     """
     check_unmasked(name, value)
     try:
@@ -54,7 +56,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         raise InputError(f"{name} is not a matrix of numbers ({error}); give rows of the same length") from None
     if given.ndim != 2:
         raise InputError(f"{name} has shape {given.shape}; expected a matrix{expected and f' of shape {expected}'}")
-    if max(given.shape) > MOST:  # before it is copied
+    if max(given.shape) > MOST:  # checked before the matrix is copied
         raise InputError(f"{name} has shape {given.shape}; no more than {MOST} rows or columns are allowed: reduce the model")
     if np.iscomplexobj(given):
         if np.any(np.imag(given)):
@@ -73,10 +75,16 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
 
 
 def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = `start`, or 0, shape (..., T, n) like the forcing.
+    """Returns x[k+1] = Phi x[k] + forcing[k] with x[0] = `start`, or 0, shape (..., T, n) like the forcing.
 
-    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
-    stretches from rest come first, side by side, and then what each adds to those behind it.
+    A Python loop over all T samples would be slow. The samples are therefore divided into about sqrt(T) stretches of about
+    sqrt(T) samples. The responses of all stretches from x = 0 are computed together. Then the effect of each stretch on the
+    following ones is added.
+
+    Args:
+        Phi: transition matrix of one sample, shape (n, n).
+        forcing: effect of the inputs in each sample, shape (..., T, n).
+        start: initial state, shape (n,) or (..., n); None for 0.
     """
     *runs, samples, n = forcing.shape
     if start is not None:  # a step from 0 leads to the start
@@ -87,7 +95,7 @@ def recursion(Phi: Array, forcing: Array, start: Array | None = None) -> Array:
     padded = np.zeros((*runs, stretches * length, n))
     padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
     states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run reports this
         for k in range(1, length):
             states[..., k, :] += states[..., k - 1, :] @ transposed
         powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))

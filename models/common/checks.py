@@ -1,8 +1,8 @@
-"""Checks of values by their annotations: a value that does not fit raises an `InputError` with the name of the argument.
+"""Checks of values by their annotations. A value that does not fit raises an `InputError` with the name of the argument.
 
-`models.common.lazy` wraps every public function in `check_arguments`; calls within the packages are not checked. Dataclasses are
-`CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: only type checkers resolve
-it.
+`models.common.lazy` wraps every public function in `check_arguments`. Calls within the packages are not checked. Dataclasses
+derive from `CheckedFields`, or call `check_fields` in `__post_init__`. An annotation in quotes allows any value, because only
+type checkers resolve it.
 """
 
 import inspect
@@ -25,24 +25,24 @@ from models.common.files import path_from
 from models.common.units import in_unit
 
 F = TypeVar("F", bound=Callable[..., Any])
-HERE = "\N{WHITE SQUARE}"  # in the message of a `models.common.schema.Key`: the name of the value that was read
+HERE = "\N{WHITE SQUARE}"  # in the message of a `models.common.schema.Key`, instead of the name of the value
 
 
 @dataclass(frozen=True)
 class Must:
-    """Further condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
+    """Additional condition of an annotation, as in `Annotated[float, Must("a number above 0", lambda value: value > 0)]`.
 
     Attributes:
-        words: the allowed values. Words that begin with a comma or a space follow those of the annotated type.
-        holds: returns True for an allowed value, which has the annotated type.
-        unit: unit of a number; a text with another unit is converted, so that "60 mm" is 0.06 in m. Empty for other values.
+        words: description of the allowed values. If it begins with a comma or space, it follows the description of the type.
+        holds: function that returns True for an allowed value; the value has the annotated type.
+        unit: unit of a number; empty for other values. A text with another unit is converted: "60 mm" is 0.06 in m.
     """
 
     words: str
     holds: Callable[[Any], bool]
     unit: str = ""
 
-    def __repr__(self) -> str:  # in `help`, where the condition itself would be an address
+    def __repr__(self) -> str:  # shown by `help`, where the condition itself would be shown as an address
         return repr(self.words.lstrip(", "))
 
 
@@ -73,9 +73,14 @@ WORDS: Mapping[Any, str] = {
 
 
 def check(name: str, value: Any, annotation: Any) -> Any:
-    """Returns a value that fits its annotation. A list becomes the annotated array or tuple.
+    """Returns a value if it fits its annotation. A list becomes the annotated array or tuple.
 
-    An annotation with a unit also takes a text: `height="60 mm"` is 0.06.
+    If the annotation has a unit, a text is also allowed: `height="60 mm"` is 0.06.
+
+    Args:
+        name: name of the value, for messages.
+        value: the value.
+        annotation: the annotation.
 
     Raises:
         InputError: the value does not fit, or has an unknown unit or a unit of another dimension.
@@ -92,10 +97,11 @@ def check(name: str, value: Any, annotation: Any) -> Any:
 
 
 def check_fields(value: Any, prefix: str = "") -> None:
-    """Checks the fields of a dataclass, for `__post_init__`. Lists become the annotated arrays and tuples.
+    """Checks the fields of a dataclass, in its `__post_init__`. Lists become the annotated arrays and tuples.
 
     Args:
-        prefix: text before the name of a field in a message.
+        value: the object of the dataclass.
+        prefix: text in front of the name of a field, for messages.
 
     Raises:
         InputError: a field does not fit its annotation.
@@ -108,22 +114,22 @@ def check_fields(value: Any, prefix: str = "") -> None:
 
 
 class CheckedFields:
-    """Base of dataclasses whose fields fit their annotations; see `check_fields`."""
+    """Base class of dataclasses whose fields are checked by their annotations; see `check_fields`."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
-    """Raises an InputError if an array has another shape; `why` explains the expected one."""
+    """Raises an InputError if an array has another shape. `why` explains the expected shape."""
     if value.shape != shape:
         raise InputError(f"{name} has shape {value.shape}; expected {shape}, {why}")
 
 
 def check_arguments(function: F) -> F:
-    """Returns a function that checks its arguments by their annotations before it is called.
+    """Returns a function that first checks its arguments by their annotations.
 
-    The function also warns of all remarks on the vehicle or the runs that it returns, each once.
+    The function also issues the warnings of the vehicle or runs that it returns, each of them once.
     """
     signature, former = inspect.signature(function), getattr(function, "former_names", {})
 
@@ -143,17 +149,17 @@ def check_arguments(function: F) -> F:
 
 
 def accept_former_names(**names: str) -> Callable[[F], F]:
-    """Returns a decorator of a public function or dataclass that also accepts former names of arguments.
+    """Returns a decorator for a public function or dataclass that also accepts former names of arguments.
 
-    The attributes of such a dataclass can be read by their former names, too.
+    The attributes of such a dataclass can also be read by their former names.
 
     Args:
-        names: present names by former ones.
+        names: present name of each former name.
     """
 
     def decorate(one: F) -> F:
         if not isinstance(one, type):
-            one.former_names = names  # for `check_arguments`  # pyright: ignore[reportFunctionMemberAccess]
+            one.former_names = names  # `check_arguments` uses this attribute
             return one
         init = one.__init__
 
@@ -170,7 +176,7 @@ def accept_former_names(**names: str) -> Callable[[F], F]:
 
 
 class ReadOnly(dict[str, Any]):
-    """Dictionary that refuses changes, because a changed entry would not be checked."""
+    """Dictionary that refuses changes, because changed entries would not be checked."""
 
     def _refused(self, *arguments: Any, **named: Any) -> NoReturn:
         raise InputError(
@@ -180,12 +186,13 @@ class ReadOnly(dict[str, Any]):
 
     __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refused  # pyright: ignore
 
-    def __reduce__(self) -> tuple[type["ReadOnly"], tuple[dict[str, Any]]]:  # a dict's would set items, copied or unpickled
+    # The method of `dict` would set items while copying or unpickling
+    def __reduce__(self) -> tuple[type["ReadOnly"], tuple[dict[str, Any]]]:
         return ReadOnly, (dict(self),)
 
 
 def is_finite(value: Any) -> bool:
-    """Returns True for a real and finite number, of NumPy or not."""
+    """Returns True for a real and finite number, including numbers of NumPy."""
     value = plain(value)
     try:
         return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
@@ -194,20 +201,21 @@ def is_finite(value: Any) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Returns a NumPy scalar, or an array of no dimension, as a Python number; any other value unchanged."""
+    """Returns a NumPy scalar, or an array without dimensions, as a Python number; any other value unchanged."""
     scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
     return value.item() if scalar and not is_masked(value) else value
 
 
 class _UnfitError(Exception):
-    """Raised with the place of a part within a value, as in "[0]", the part, the annotation that it does not fit, and a message.
+    """Raised for a value that does not fit its annotation.
 
-    An empty message stands for the usual one.
+    The arguments are the place of the wrong part within the value, such as "[0]", the part, the annotation that it does not
+    fit, and a message. An empty message is replaced by the usual one.
     """
 
 
 def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
-    """Returns a value that fits an annotation; `allowed` is the whole annotation if this is only a part of it."""
+    """Returns a value if it fits an annotation. `allowed` is the whole annotation if `annotation` is only a part of it."""
     given, allowed = value, annotation if allowed is None else allowed
     outer, inner, fits = get_origin(annotation) or annotation, get_args(annotation), True
     if outer is Annotated:
@@ -252,12 +260,12 @@ def _fit(place: str, value: Any, annotation: Any, allowed: Any = None) -> Any:
 
 
 def _obviously(value: Any, annotation: Any) -> bool:
-    """Returns True for a text, a number or a truth value that fits without a further look; most fields of a linear model do."""
-    return type(value) is annotation and annotation in PLAIN and value == value  # NaN is not equal to itself
+    """Returns True for a text, number or truth value that fits without further checks, as most fields of a linear model do."""
+    return type(value) is annotation and annotation in PLAIN and value == value  # excludes NaN, which is not equal to itself
 
 
 def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
-    """Returns a value, as an array or a path if that is wanted, and True if it is of the wanted type."""
+    """Returns a value and True if it has the wanted type. The value is converted if an array or a path is wanted."""
     if wanted is Array:
         try:
             array = np.asarray(value)
@@ -274,7 +282,7 @@ def _simple(value: Any, wanted: type) -> tuple[Any, bool]:
 
 
 def _words(annotation: Any) -> str:
-    """Returns the values that an annotation allows, in words."""
+    """Returns a description of the values that an annotation allows."""
     outer, inner = get_origin(annotation) or annotation, get_args(annotation)
     if outer is Annotated:
         words = getattr(inner[1], "words", "")
@@ -289,5 +297,5 @@ def _words(annotation: Any) -> str:
         fixed = outer is tuple and inner[-1] is not ...
         every = f"a list in which each item is {_words(inner[0])}"
         return f"{len(inner)} values: {', '.join(map(_words, inner))}" if fixed else every
-    # A type that is not public has a class attribute `public_name`, which describes where its values come from.
+    # A type that is not public has a class attribute `public_name`, which explains how to get such a value.
     return vars(outer).get("public_name", f"{'an' if outer.__name__[0] in 'AEIOU' else 'a'} {outer.__name__}")

@@ -1,10 +1,11 @@
-"""Child processes in Python that answer messages, one after another.
+"""Child processes in Python that answer messages one after another.
 
-Each wait for an answer has a limit, and the death of a child is an exception, so a child may run code that hangs or crashes.
+Every wait for an answer has a time limit, and the end of a child raises an exception. Children can therefore execute code that
+hangs or crashes.
 
-A child does not import the user's script again, as children of `multiprocessing` do, so scripts need no `if __name__ ==
-"__main__"`. Its stdin is empty, and its prints go to stderr. It ignores Ctrl-C and ends with its parent, even in the middle of a
-call.
+Unlike children of `multiprocessing`, these children do not import the user's script again, so scripts do not need
+`if __name__ == "__main__"`. A child has an empty stdin, and its prints go to stderr. It ignores Ctrl-C and ends with its
+parent, even in the middle of a call.
 """
 
 import os
@@ -22,31 +23,33 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import IO, Any
 
-Answers = Callable[[Iterator[Any]], Iterator[Any]]  # a generator function of a module, from messages to answers
-ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}  # of BLAS, whose threads only wait
-GRACE = 0.5  # s in which a child that its parent ends can finish
+Answers = Callable[[Iterator[Any]], Iterator[Any]]  # generator function of a module: yields an answer for each message
+# Environment for BLAS, whose additional threads would only wait
+ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+GRACE = 0.5  # s, time for a child to finish after its parent ends it
 
 
 class EndedError(Exception):
-    """The child process has ended; the message is its exit code or signal."""
+    """The child process has ended. The message is its exit code or signal."""
 
 
 class Child:
-    """A child process, as its parent sees it. It ends with this object."""
+    """A child process as its parent sees it. The process ends with this object."""
 
     def __init__(self, answers: Answers) -> None:
         """Starts the process.
 
         Args:
-            answers: the function that runs in the child. It receives an iterator of messages and yields an answer for each.
-                An exception that it yields is raised by `receive`, as is one that it raises, which ends the child.
+            answers: generator function that runs in the child. It receives an iterator of messages and yields an answer for
+                each. `receive` raises an exception that the function yields or raises. An exception that it raises ends the
+                child.
         """
         code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
         process = subprocess.Popen(
             [sys.executable, "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the parent
+            start_new_session=True,  # Ctrl-C is for the parent only
             env=ONE_THREAD | os.environ,
         )
         _running_processes.add(process)
@@ -57,11 +60,11 @@ class Child:
 
     @property
     def ended(self) -> bool:
-        """True if the process was ended, or has ended by itself."""
+        """True if the process has ended, by itself or because its parent ended it."""
         return self._process.poll() is not None
 
     def ask(self, message: Any, longest: float | None = None) -> Any:
-        """Sends a message and returns its answer; see `receive`."""
+        """Sends a message and returns the answer; see `receive`."""
         self.send(message)
         return self.receive(longest)
 
@@ -69,7 +72,7 @@ class Child:
         """Sends a message, which must be picklable."""
         written = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         assert self._process.stdin is not None, "it is a pipe"
-        with suppress(OSError, ValueError):  # the child has ended, which `receive` finds
+        with suppress(OSError, ValueError):  # the child has ended; `receive` will notice it
             self._process.stdin.write(written)
             self._process.stdin.flush()
 
@@ -80,13 +83,15 @@ class Child:
             longest: time limit [s]; None for no limit.
 
         Raises:
-            TimeoutError: the limit has passed; the child is ended.
+            TimeoutError: the time limit has passed; the child is then terminated.
             EndedError: the child has ended.
             Exception: the answer is an exception.
         """
         try:
-            answer = self._answers.get(timeout=None if longest is None else max(0.0, longest))  # a budget may be spent
-        except BaseException as error:  # KeyboardInterrupt too: the answer to come would be taken for the next one
+            # The remaining time may already be negative
+            answer = self._answers.get(timeout=None if longest is None else max(0.0, longest))
+        # KeyboardInterrupt as well: otherwise, the pending answer would be taken for the answer to the next message
+        except BaseException as error:
             self.end()
             raise (TimeoutError if isinstance(error, queue.Empty) else error) from None
         if answer is EndedError:
@@ -98,17 +103,17 @@ class Child:
         return answer
 
 
-_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # the processes of all children
+_running_processes: "weakref.WeakSet[subprocess.Popen[bytes]]" = weakref.WeakSet()  # processes of all children
 
 
 def kill_children() -> None:
-    """Ends all children at once, whatever they are doing, so that nothing waits for their answers."""
+    """Terminates all children immediately, so that nothing waits for their answers."""
     for process in list(_running_processes):
         process.kill()
 
 
 def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
-    """Reads the answers of a child until it ends."""
+    """Reads the answers of a child until the child ends."""
     with pipe, suppress(EOFError, OSError, pickle.UnpicklingError):
         while True:
             answers.put(pickle.load(pipe))
@@ -116,26 +121,26 @@ def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a child: at its next message, or after `GRACE` whatever it is doing."""
+    """Ends a child: at its next message, or by force after twice `GRACE`."""
     assert process.stdin is not None, "it is a pipe"
     with suppress(OSError):
         process.stdin.close()
     try:
         process.wait(2 * GRACE)
-    except subprocess.TimeoutExpired:  # its code does not let `_listen` run
+    except subprocess.TimeoutExpired:  # the code of the child does not let `_listen` run
         process.kill()
         process.wait()
 
 
 def serve() -> None:
-    """Answers messages in the child; the first one is the function that does."""
+    """Answers messages in the child process. The first message is the function that answers the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as empty, suppress(OSError):  # stderr may be closed
         os.dup2(empty.fileno(), 0)
         os.dup2(2, 1)
     if not sys.warnoptions:
-        warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, as in commands
+        warnings.simplefilter("ignore", RuntimeWarning)  # warnings of NumPy, as in commands
     sys.stdout, messages = sys.stderr, queue.SimpleQueue[Any]()
     threading.Thread(target=_listen, args=(requests, messages), daemon=True).start()
     function: Answers = messages.get()
@@ -150,7 +155,7 @@ def serve() -> None:
 
 
 def _listen(requests: IO[bytes], messages: "queue.SimpleQueue[Any]") -> None:
-    """Reads messages. When the parent has ended or closed the pipe, ends their iterator, and after `GRACE` the process."""
+    """Reads messages. If the parent has ended or closed the pipe, ends their iterator, and after `GRACE` the process."""
     try:
         while True:
             messages.put(pickle.load(requests))

@@ -1,6 +1,7 @@
-"""Start and end of a command: whatever ends it is one line on stderr and an exit code.
+"""Start and end of a command. Every command that fails prints one line to stderr and returns an exit code.
 
-The module of a command calls `run` before it imports anything else, so that Ctrl-C during its imports ends in one line, too.
+The module of a command calls `run` before it imports anything else. An interrupt by Ctrl-C during imports therefore also ends
+with one line.
 """
 
 import os
@@ -12,18 +13,19 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 INTERRUPT_EXIT_CODE = 130
-GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
-# No command renders with MuJoCo, which would start a second Python to look for GLFW. A second BLAS thread waits for work without
-# sleeping, and uses more of the processor than the small products do.
+# Objects between two garbage collections (Python's default is 700); imports alone create about 50 000 permanent objects
+GARBAGE = 100_000
+# No command renders with MuJoCo. Without this setting, MuJoCo would start a second Python process to look for GLFW. A second BLAS
+# thread would wait for work without sleeping, and use more processor time than the small matrix products need.
 ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def run(command: str, *arguments: str) -> "NoReturn":
-    """Runs `main` of a command's module and exits with the code that it returns.
+    """Runs `main` of a command's module, and exits with the code that `main` returns.
 
-    An exception also ends the command: 2 for bad input, 1 for a failed design, 130 for Ctrl-C, else 1. After Ctrl-C, every
-    exception counts as the interrupt, because compiled code can turn the interrupt into an error of another type. With
-    `--traceback` the error is raised, which shows where it came from.
+    If an exception ends the command, the exit code is 2 for invalid input, 1 for a failed design, 130 for Ctrl-C, otherwise 1.
+    After Ctrl-C, every exception counts as the interrupt, because compiled code can turn the interrupt into an error of another
+    type. With `--traceback`, the exception is raised again, which shows its origin.
 
     Args:
         command: full name of the module, such as `sim.bump`.
@@ -33,7 +35,7 @@ def run(command: str, *arguments: str) -> "NoReturn":
         os.environ.setdefault(name, value)
     import signal
 
-    received = list[int]()  # interrupts
+    received = list[int]()  # numbers of the received interrupts
 
     def interrupt(number: int, frame: "FrameType | None") -> None:
         received.append(number)
@@ -44,43 +46,45 @@ def run(command: str, *arguments: str) -> "NoReturn":
         import importlib
         import warnings
 
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as in a script's background
+        # Not if interrupts are ignored, as for a background job of a script
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)
         gc.set_threshold(GARBAGE)
         sys.unraisablehook = _unraisable
         if not sys.warnoptions:
-            warnings.simplefilter("ignore", RuntimeWarning)  # of numpy: the command says in words what overflows
+            warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's warnings; the command prints a message about overflows
         if (reconfigure := getattr(sys.stdout, "reconfigure", None)) is not None:
-            reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
+            reconfigure(errors="backslashreplace")  # names may contain letters that the terminal cannot show
         code = importlib.import_module(command).main(*arguments)
-        importlib.import_module("models.common.printed").show("")  # no thread counts seconds any more
-        if sys.stdout:  # closed, as in `>&-`, it is None
+        importlib.import_module("models.common.printed").show("")  # ends the thread that counts seconds
+        if sys.stdout:  # None if stdout is closed, as by `>&-`
             sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as error:
         code = _exit_code(command, error, bool(received))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done
-    exec("")  # CPython remembers an interrupt inside an `exec`, as of a dataclass, and would end by the signal after all
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command has finished, so interrupts are ignored
+    exec("")  # CPython remembers an interrupt inside `exec`, as dataclasses use it, and would end with the signal after all
     sys.exit(code)
 
 
 def _unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Repeats a Ctrl-C that came while a finaliser ran, as in a garbage collection: Python would only print it."""
+    """Repeats a Ctrl-C that arrived while a finaliser ran, for example in a garbage collection. Python would only print it."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         return sys.__unraisablehook__(unraisable)
     import _thread
     import threading
 
-    threading.Timer(0.01, _thread.interrupt_main).start()  # at once, the interrupt would end this hook
+    threading.Timer(0.01, _thread.interrupt_main).start()  # an immediate interrupt would end this hook
 
 
 def _exit_code(command: str, error: BaseException, interrupted: bool) -> int:
-    """Prints why a command ended, as one line, and returns its exit code."""
+    """Prints the reason why a command ended, as one line, and returns its exit code."""
     from models.common.command import complain
     from models.common.errors import TRACEBACK, InputError
 
     if TRACEBACK in sys.argv and isinstance(error, Exception):
         raise error
-    if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`; Python would try to write once more as it exits
+    # The reader has closed the pipe, as `| head` does; Python would try to write again at exit
+    if isinstance(error, BrokenPipeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 0
     if interrupted or isinstance(error, KeyboardInterrupt):

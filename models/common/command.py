@@ -1,4 +1,4 @@
-"""Shared parts of all commands: option parsing, one-line errors, and versions of packages."""
+"""Common parts of all commands: option parsing, one-line errors, and versions of packages."""
 
 import argparse
 import functools
@@ -19,11 +19,11 @@ PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglo
 
 
 def versions() -> dict[str, str]:
-    """Returns the versions of Python and of all packages that the numbers depend on."""
+    """Returns the versions of Python and of all packages on which the numbers depend."""
     return dict(_versions())
 
 
-@functools.cache  # packages' metadata take 20 ms to read, and do not change while a process runs
+@functools.cache  # reading the metadata takes 20 ms, and the metadata do not change while a process runs
 def _versions() -> dict[str, str]:
     import platform
     from importlib import metadata
@@ -32,18 +32,21 @@ def _versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             versions_by_name[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # run from a checkout that was never installed
+        except metadata.PackageNotFoundError:  # the program runs from a checkout that was never installed
             versions_by_name[package] = "not installed"
     return versions_by_name
 
 
-ALL = "all"  # instead of a controller's name
+ALL = "all"  # can be given instead of a controller's name
 
 
 class Parser(argparse.ArgumentParser):
-    """Command-line parser with one-line errors. It refuses empty options, and repeated ones that are not declared so."""
+    """Command-line parser with one-line errors.
 
-    by_verb = False  # True for `roadproof VERB`: help and errors then name the command like this
+    It refuses empty options, and repeated options unless they are declared as such.
+    """
+
+    by_verb = False  # True for `roadproof VERB`; help and errors then use this form
 
     def __init__(self, prog: str, description: str, epilog: str, page: str = "") -> None:
         self.module = prog
@@ -55,7 +58,7 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
-        # Recognises -1e-3 and -inf as numbers, not options; argparse accepts no exponents before Python 3.14.
+        # This pattern recognises -1e-3 and -inf as numbers, not options. argparse accepts exponents only from Python 3.14.
         self._negative_number_matcher = re.compile(r"-(\.?\d|(inf|infinity|nan)$)", re.IGNORECASE)
         self.register("type", None, _text)
         self.register("type", Path, _path)
@@ -65,22 +68,22 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(TRACEBACK, action="store_true", help="show the Python traceback of an error, for a bug report")
 
     def _called(self, text: str) -> str:
-        """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
+        """Returns a text in which commands have the form of the present call: `roadproof bump` or `python -m sim.bump`."""
         return re.sub(r"python -m (sim$|sim[. ])?", "roadproof ", text).rstrip(" ") if self.by_verb else text
 
     def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the known and the unknown options; refuses a value that belongs to no option, such as a part of a name."""
+        """Returns the known and the unknown options. Refuses a value that belongs to no option, such as a part of a name."""
         options, others = super().parse_known_args(args, namespace)
         if args and others and not others[0].startswith("-"):
             self.error(f"unrecognized argument {others[0]!r}; {self._advice(args[: args.index(others[0]) + 1])}")
         return options, others
 
     def _advice(self, args: Sequence[str]) -> str:
-        """Returns what to do about the last of these arguments, which the parser does not expect."""
+        """Returns advice about the last of these arguments, which the parser does not expect."""
         first = max((i for i, one in enumerate(args) if one.startswith("-")), default=-1)
         option, _, value = args[first].partition("=") if first >= 0 else ("", "", "")
         values, action = [*filter(None, [value]), *args[first + 1 :]], self._option_string_actions.get(option)
-        if action is None or action.nargs == 0:  # the values are those of the command itself
+        if action is None or action.nargs == 0:  # the values belong to the command itself
             option, action = "", next(iter(self._get_positional_actions()), None)
         if action is None or len(values) < 2:
             usual = "--vehicle" if values[-1].endswith(".toml") else "" if "." in values[-1] else "--controller"
@@ -94,10 +97,10 @@ class Parser(argparse.ArgumentParser):
         return quoted
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
+        """Returns the options, including the names of the given options (`given`) and the command line (`command_line`)."""
         args = sys.argv[1:] if args is None else args
         for argument in args:
-            if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
+            if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would interpret "--" as the end of the options
                 self.error(f"argument {argument[:-3]}: '--' is not a value; give a value")
         _remarks.clear()
         start = namespace or argparse.Namespace()
@@ -106,15 +109,16 @@ class Parser(argparse.ArgumentParser):
         return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
-        """Raises bad options as one line; exit code 2."""
+        """Raises an InputError with a one-line message about invalid options; the exit code is 2."""
         raise InputError(f"{message}; see {self.prog} --help")
 
     def add_controller_and_vehicle(self, default: str, several: str = "") -> None:
         """Adds the options `--controller`, which may be repeated, and `--vehicle`.
 
         Args:
-            default: the controllers without `--controller`.
-            several: purpose of several `--vehicle`, whose attribute is then `vehicles`; empty for commands that take one vehicle.
+            default: description of the controllers that are used without `--controller`.
+            several: purpose of several `--vehicle` options, whose attribute is then `vehicles`. Empty for commands with one
+                vehicle.
         """
         self.add_argument(
             "--controller",
@@ -136,7 +140,7 @@ class Parser(argparse.ArgumentParser):
             self._add_vehicle()
 
     def add_one(self, which: str) -> None:
-        """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
+        """Adds the options `--controller`, which is required and cannot be repeated, and `--vehicle`."""
         self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which} (required)")
         self._add_vehicle()
 
@@ -145,19 +149,19 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--vehicle", default="quarter_car", metavar="FILE", help=meaning)
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option that takes a finite number, or a number with its unit, such as 90km/h; `unset` describes None."""
+        """Adds an option for a finite number, or a number with its unit, such as 90km/h. `unset` describes the default None."""
         usual = unset if default is None else f"{default:g}"
         said = f"{meaning} [{unit}] (default: {usual})"
         self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
-        """Adds an option that takes one or more finite numbers, with units or without."""
+        """Adds an option for one or more finite numbers, with or without units."""
         self.add_argument(option, type=_number_in(unit), nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
 
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """Adds an option that takes an integer from `low` to `high`, or several; `unset` is its default."""
+        """Adds an option for an integer from `low` to `high`, or several if `many` is True. `unset` is its default."""
 
         def count(text: str) -> int:
             try:
@@ -172,11 +176,11 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
     def add_printed(self, what: str, brief: str = "") -> None:
-        """Adds `--verbose`, `--json` and, with a help text, `--brief`, of which one may be given.
+        """Adds `--verbose`, `--json` and, if it has a help text, `--brief`. A command line may contain only one of them.
 
         Args:
             what: details that `--verbose` prints.
-            brief: help of `--brief`; empty for a command without it.
+            brief: help text of `--brief`; empty for a command without this option.
         """
         printed = self.add_mutually_exclusive_group()
         printed.add_argument("-v", "--verbose", action="store_true", help=f"also print {what}")
@@ -187,20 +191,20 @@ class Parser(argparse.ArgumentParser):
     def add_exported(
         self, what: str = "run the controller as compiled code from this folder, which python -m synth --export wrote"
     ) -> None:
-        """Adds `--as`."""
+        """Adds the option `--as`."""
         self.add_argument("--as", dest="exported", type=Path, metavar="DIR", help=what)
 
     def add_loads(self, what: str, syntax: str) -> None:
-        """Adds `--load`, which may be repeated, with the syntax of loads in its help."""
+        """Adds the option `--load`, which may be repeated, with the syntax of loads in its help text."""
         meaning = f"{what}; may be repeated, then all loads act together: {syntax}"
         self.add_argument("--load", dest="loads", action="append", default=[], metavar="LOAD", help=meaning)
 
     def add_gone(self, option: str, instead: str) -> None:
-        """Refuses an option that is gone, with what to do instead."""
+        """Adds an option that no longer exists, which is refused with advice."""
         self.add_argument(option, action=_GoneOption, help=argparse.SUPPRESS, instead=instead)
 
     def add_logs(self, what: str) -> None:
-        """Adds --logs, for a command that records only on request."""
+        """Adds `--logs`, for a command that records only on request."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: no recording)")
 
 
@@ -208,12 +212,12 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
     """Returns the controllers that `--controller` selects, in the given order.
 
     Args:
-        names: all controllers of the vehicle.
+        names: names of all controllers of the vehicle.
         given: values of `--controller`.
         usual: the selection without `--controller`.
 
     Raises:
-        InputError: no name is given, one is unknown or given twice, or `all` is given with another.
+        InputError: no name is given, a name is unknown or given twice, or `all` is given together with a name.
     """
     for name in given or ():
         if name not in (ALL, *names):
@@ -234,14 +238,15 @@ def chosen_controllers(names: Sequence[str], given: Sequence[str] | None, usual:
 def chosen_of(
     vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = ()
 ) -> dict[str, list[str]]:
-    """Returns the controllers that `--controller` selects of several vehicles; each has those of its own.
+    """Returns the controllers of several vehicles that `--controller` selects. Each vehicle gets those that it has.
 
     Args:
-        vehicles: all controllers of each vehicle, by a key of the vehicle.
-        given, usual: names on the command line and default names, as in `chosen_controllers`.
+        vehicles: names of all controllers of each vehicle, by a key of the vehicle.
+        given: names on the command line, as in `chosen_controllers`.
+        usual: default names, as in `chosen_controllers`.
 
     Raises:
-        InputError: bad names as in `chosen_controllers`, or a vehicle without any of the controllers.
+        InputError: an error of `chosen_controllers`, or a vehicle without any of the controllers.
     """
     known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
     every = chosen_controllers(known, given, usual)
@@ -258,11 +263,11 @@ def one_chosen(names: Sequence[str], given: str | None) -> str:
     """Returns the controller that a single `--controller` selects.
 
     Args:
-        names: all that are allowed.
+        names: names of all allowed controllers.
         given: value of `--controller`.
 
     Raises:
-        InputError: no name is given, or an unknown one.
+        InputError: no name is given, or the name is unknown.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
     if given is None:
@@ -275,7 +280,7 @@ def one_chosen(names: Sequence[str], given: str | None) -> str:
 
 
 class _Once(argparse.Action):
-    """Option that may be given once."""
+    """Option that may be given only once."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         if option_string and self.dest in namespace.given:
@@ -285,7 +290,7 @@ class _Once(argparse.Action):
 
 
 class _Vehicles(argparse.Action):
-    """Option that may be given several times; its values replace the default."""
+    """Option that may be given several times. Its values replace the default."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
@@ -294,7 +299,7 @@ class _Vehicles(argparse.Action):
 
 
 class _GoneOption(argparse.Action):
-    """Option that is gone."""
+    """Option that no longer exists."""
 
     def __init__(self, option_strings, dest, instead, help=None) -> None:
         super().__init__(option_strings, argparse.SUPPRESS, nargs="?", help=help)
@@ -317,15 +322,15 @@ class _Flag(argparse.Action):
 
 def complain(message: str) -> None:
     """Prints a message to stderr as one printable line."""
-    show("")  # clears the progress
+    show("")  # clears the line of progress
     print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
-_remarks = list[str]()  # of the running command, on its vehicles and roads
+_remarks = list[str]()  # warnings of the running command about its vehicles and roads
 
 
 def print_remarks(given: Any) -> Any:
-    """Returns a vehicle or a road after printing the remarks on it to stderr, each once in a command."""
+    """Returns a vehicle or road after printing its warnings to stderr. A command prints each warning only once."""
     for doubt in given.warnings:
         if doubt not in _remarks:
             _remarks.append(doubt)
@@ -334,19 +339,19 @@ def print_remarks(given: Any) -> Any:
 
 
 def print_json(result: Mapping[str, Any]) -> None:
-    """Prints the result of a command as JSON, with the remarks on its vehicles and roads, if any, as `remarks`."""
+    """Prints the result of a command as JSON. Warnings about its vehicles and roads, if any, are the value of `remarks`."""
     print(json.dumps({**result, **({"remarks": _remarks} if _remarks else {})}, allow_nan=False))
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with its paragraphs wrapped; an example, which is indented, goes on after a backslash."""
-    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # lines of a paragraph
+    """Returns a text of `--help` with wrapped paragraphs. Examples are indented; long ones continue after a backslash."""
+    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # joins the lines of a paragraph
     lines = [_example(line) if line.startswith("  ") else wrap_text(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 
 
 def _example(line: str) -> list[str]:
-    """Returns an example in lines that fit, to be copied as a whole."""
+    """Returns an example as lines that fit the width and can be copied as a whole."""
     return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 
@@ -357,7 +362,7 @@ def _text(text: str) -> str:
 
 
 def _name(text: str) -> str:
-    """Returns a name in the Unicode normal form of vehicle files."""
+    """Returns a name in the Unicode normal form that vehicle files use."""
     return unicodedata.normalize("NFC", _text(text))
 
 
@@ -368,7 +373,7 @@ def _path(text: str) -> Path:
 
 
 def _number_in(unit: str) -> Callable[[str], float]:
-    """Returns the reader of a finite number, or of one with its unit, as a number of another unit."""
+    """Returns a function that reads a finite number, with or without a unit, and converts it to a given unit."""
 
     def number(text: str) -> float:
         try:

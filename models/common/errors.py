@@ -1,4 +1,4 @@
-"""The error for wrong input: every command turns it into one line and exit code 2."""
+"""The error for invalid input. Every command turns it into a one-line message and exit code 2."""
 
 import difflib
 import reprlib
@@ -8,17 +8,17 @@ from typing import Any
 
 TRACEBACK = "--traceback"  # option of every command
 LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
-LONGEST_VALUE = 60  # characters of a value
+LONGEST_VALUE = 60  # characters of a value in a message
 
 _shortly = reprlib.Repr()
 _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, LONGEST_VALUE, LONGEST_VALUE, LONGEST_VALUE
 
 
 class InputError(ValueError):
-    """Wrong input. The message contains what was found, what is allowed, and what to do, on one line (`one_line`).
+    """Invalid input. The message is one line (`one_line`) that gives the wrong value, the allowed values and a correction.
 
     Attributes:
-        exit_code: exit code of a command that this error ends.
+        exit_code: exit code of a command that ends with this error.
     """
 
     exit_code = 2
@@ -29,7 +29,7 @@ class InputError(ValueError):
 
 @contextmanager
 def error_in(where: str) -> Iterator[None]:
-    """Puts a place before the message of an InputError from a block."""
+    """Puts a place, such as the name of a file, in front of the message of an InputError that the block raises."""
     try:
         yield
     except InputError as error:
@@ -37,18 +37,18 @@ def error_in(where: str) -> Iterator[None]:
 
 
 def one_line(message: str) -> str:
-    """Returns a message as one printable line. A long one is cut in the middle, between the mistake and the advice."""
+    """Returns a message as one printable line. A long message is shortened in the middle, between the error and the advice."""
     line = " ".join(part.strip() for part in message.splitlines())
     return middle_cut("".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line), LONGEST)
 
 
 def short_repr(value: Any) -> str:
-    """Returns the `repr` of a value of any type and size, cut in the middle, for a message."""
+    """Returns the `repr` of any value for a message, shortened in the middle."""
     return middle_cut(_shortly.repr(getattr(value, "tolist", lambda: value)()), LONGEST_VALUE)
 
 
 def middle_cut(text: str, most: int) -> str:
-    """Returns the text, or its beginning and end if it has more than `most` characters."""
+    """Returns a text unchanged, or its beginning and end if it has more than `most` characters."""
     if len(text) <= most:
         return text
     kept = most - len(" ... ")
@@ -56,17 +56,17 @@ def middle_cut(text: str, most: int) -> str:
 
 
 def list_names(names) -> str:
-    """Returns the allowed names as a list for a message."""
+    """Returns names as a sorted list for a message."""
     return ", ".join(sorted(names)) or "none"
 
 
 def number_range(smallest: float, largest: float, unit: str = "") -> str:
-    """Returns the allowed range of a number for a message, with its unit; "1", "-" and "" are units of pure numbers."""
+    """Returns the allowed range of a number with its unit, for a message; "1", "-" and "" denote pure numbers."""
     return f"a number from {smallest:g} to {largest:g} {'' if unit in ('1', '-') else unit}".rstrip()
 
 
 def alike(name: object, names: Iterable[str], most: int = 12) -> str:
-    """Returns the allowed names as a list for a message; of many only those that are most like a wrong one."""
+    """Returns the allowed names as a list for a message. If there are more than `most`, only those similar to a wrong name."""
     known = sorted(names)
     if len(known) <= most:
         return list_names(known)
@@ -75,5 +75,5 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Returns the first of many names, and the number of the others."""
+    """Returns the first few of many names, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,7 +1,7 @@
-"""Extensions by name: what the core of the three packages knows by its name alone, and imports when the name is used.
+"""Extensions by name. The core of the three packages knows only these names, and imports an extension when its name is used.
 
-A row of `EXTENSIONS` is all that the core, help pages, completion and messages know of an extension. Without its row and its file
-everything else works.
+The core, help pages, completion and messages use only the rows of `EXTENSIONS`. If a row and its file are removed, everything
+else still works.
 """
 
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ from models.common.lazy import resolve_name
 
 
 class Registry(dict[str, str]):
-    """Extensions of one sort: the "module:attribute" of each, or its module, by name.
+    """Extensions of one type by name. The value of each is "module:attribute" or a module.
 
-    The order of names is that of columns, sections and messages.
+    The order of the names is the order of columns, sections and messages.
 
     Attributes:
-        sort: noun for one of these extensions, for messages.
-        attributes: names of the attributes that each of them has.
-        texts: further texts of their rows, for help pages.
+        sort: noun for an extension of this type, for messages.
+        attributes: names of the attributes that each of these extensions must have.
+        texts: additional texts of the rows, for help pages.
     """
 
     def __init__(self, sort: str, rows: Mapping[str, str | tuple[str, ...]], attributes: tuple[str, ...] = ()) -> None:
@@ -28,10 +28,10 @@ class Registry(dict[str, str]):
         self.sort, self.attributes, self.texts = sort, attributes, {name: row[1:] for name, row in each.items()}
 
     def load(self, name: str) -> Any:
-        """Returns what a name stands for; its module is imported now.
+        """Imports and returns the extension with a name.
 
         Raises:
-            InputError: no extension of this sort has that name.
+            InputError: no extension of this type has this name.
             TypeError: an attribute is missing.
         """
         if name not in self:
@@ -43,11 +43,11 @@ class Registry(dict[str, str]):
         return extension
 
     def load_if_known(self, name: str) -> Any:
-        """Returns what a name stands for, or None if no row has it."""
+        """Returns the extension with a name, or None if no row has this name."""
         return self.load(name) if name in self else None
 
     def load_all(self) -> dict[str, Any]:
-        """Returns what each name stands for, in the order of the rows."""
+        """Returns all extensions by name, in the order of the rows."""
         return {name: self.load(name) for name in self}
 
 
@@ -55,7 +55,7 @@ _STANDARD = "sim.studies.ride.kinds.standard"
 _FREQUENCY, _VALIDITY = "sim.studies.frequency.command", "sim.studies.validity.command"
 _RECOMMEND = "sim.studies.recommend.command"
 _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
-    "part": {  # a class, see `models.parts.part`
+    "part": {  # classes, see `models.parts.part`
         "stop": "models.parts.stops.part:Stops",
         "spring": "models.parts.spring:SpringCurve",
         "damper": "models.parts.damper:DamperCurve",
@@ -70,7 +70,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "modified_bouc_wen": "models.parts.elements.modified_bouc_wen:ModifiedBoucWen",
         "dahl": "models.parts.elements.dahl:Dahl",
     },
-    "design method": {  # a function, see `synth.design.methods`
+    "design method": {  # functions, see `synth.design.methods`
         "two_steps": "synth.design.two_step:two_steps",
         "state": "synth.design.two_step:state",
         "zero_l": "synth.design.two_step:zero_l",
@@ -86,7 +86,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "h2": "synth.design.full_order.quadratic:quadratic",
         "preview": "synth.design.full_order.preview:preview",
     },
-    "feature": {  # a module, whose public names are its door: what a vehicle file, a command or a result may have beyond the core
+    "feature": {  # modules with public names: functions of vehicle files, commands and results that are not part of the core
         "adjustable dampers": "models.characteristics.adjustable_range",
         "curves": "models.characteristics.curve",
         "curves in files": "models.characteristics.curve_reading",
@@ -159,21 +159,22 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "step response": "sim.studies.ride.step_response",
         "comparison with a measured log": "sim.studies.validity.measured_log",
     },
-    "driver": {  # what makes the driver of (controllers, failures, numbers), see `sim.drive.drivers.registry`
+    # Functions or classes that create a driver from (controllers, failures, numbers), see `sim.drive.drivers.registry`
+    "driver": {
         "linear": "sim.drive.drivers.linear:LinearDriver",
         "semi_active": "sim.drive.drivers.semi_active:SemiActiveDriver",
         "python": "sim.drive.drivers.python:in_python",
         "recorded": "sim.drive.drivers.recorded:RecordedDriver",
         "code": "sim.drive.drivers.code:CodeDriver",
     },
-    "observer": {  # a class for batches, see `sim.drive.drive.Observer`, or a function of a recording
+    "observer": {  # classes for batches, see `sim.drive.drive.Observer`, or functions of a recording
         "energy": "sim.observers.energy:energy",
         "steps": "sim.observers.steps:compare_steps",
         "commands": "sim.observers.commands:compare_commands",
         "twin": "sim.observers.twin:Twin",
         "growth": "sim.observers.growth:Growth",
     },
-    "metric": {  # a class; its name is its key in `--best` and in the table of controllers, whose columns have this order
+    "metric": {  # classes; the name is the key in `--best`, and in the table of controllers, whose columns have this order
         "dive": f"{_STANDARD}:Dive",
         "squat": f"{_STANDARD}:Squat",
         "roll": f"{_STANDARD}:Roll",
@@ -193,7 +194,7 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         "energy": f"{_STANDARD}:ControlEnergy",
         "at_stops": f"{_STANDARD}:AtStops",
     },
-    "study": {  # a class, the purpose of its command, if it is one, and the main options, see `sim.studies.study`
+    "study": {  # classes, then the purpose of the command, if the study is one, and its main options, see `sim.studies.study`
         "designs": "sim.report.designs:DesignsStudy",
         "sweep": (f"{_FREQUENCY}:SweepStudy", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
         "response": "sim.report.agreement:ResponseStudy",
@@ -220,6 +221,6 @@ _ROWS: dict[str, dict[str, str | tuple[str, ...]]] = {
         ),
     },
 }
-_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # a metric is never combined over runs by default
+_ATTRIBUTES = {"metric": ("what", "unit", "of", "over_runs")}  # by default, a metric is not combined over runs
 EXTENSIONS = {sort: Registry(sort, rows, _ATTRIBUTES.get(sort, ())) for sort, rows in _ROWS.items()}
 PARTS, METHODS, FEATURES, DRIVERS, OBSERVERS, METRICS, STUDIES = EXTENSIONS.values()

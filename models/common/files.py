@@ -1,7 +1,9 @@
-"""Reading and writing of files, and of TOML. A file is written beside its place and renamed: it appears whole or not at all.
+"""Reading and writing of files, and of TOML.
 
-A link stays a link: its target is replaced. The new file has the permissions of the old one. A pipe, a device or standard output
-gets the content when it is complete.
+A file is written under a temporary name and then renamed, so it is always complete.
+
+If the path is a link, its target is replaced. The new file has the permissions of the old file. A pipe, a device or standard
+output receives the content when it is complete.
 """
 
 import hashlib
@@ -22,14 +24,14 @@ from models.common.errors import InputError
 
 UNQUOTED_QUANTITY = re.compile(
     r"[=\[,] *([+-]?[\d.]+(?:[eE][+-]?\d+)? *(?![eE][+-]?\d)[A-Za-z%][^,}\]#]*)"
-)  # a number with a unit
+)  # pattern of a number with a unit, without quotes
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Returns the tables of a TOML text.
 
     Raises:
-        InputError: the text is not TOML.
+        InputError: the text is not valid TOML.
     """
     try:
         return tomllib.loads(text)
@@ -47,23 +49,23 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def path_from(file: str | Path, folder: Path = Path()) -> Path:
-    """Returns the path of a file whose name is relative to a folder; a leading `~` stands for the user's home folder."""
+    """Returns the path of a file whose name is relative to a folder. A leading `~` means the user's home folder."""
     return folder / os.path.expanduser(file)
 
 
-STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened
-# In a block of `together`, the complete files that are not yet renamed, and their targets; None outside it.
+STDOUT = Path("/dev/stdout")  # not the file behind it, because the shell has opened that file
+# Inside a block of `together`: the complete files that are not yet renamed, and their targets. Otherwise None.
 _waiting_files: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
 
 
 @contextmanager
 def whole_file(path: Path, what: str, instead: str = "give another path") -> Iterator[Path]:
-    """Yields a temporary path with the suffix of `path`, and renames it to `path` when the block ends without an error.
+    """Yields a temporary path with the suffix of `path`, and renames the file to `path` if the block ends without an error.
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: the file's purpose, for the message.
-        instead: advice if it cannot be written, for the message.
+        what: purpose of the file, for the message.
+        instead: advice for the message if the file cannot be written.
 
     Raises:
         InputError: the file cannot be written.
@@ -100,7 +102,7 @@ def whole_file(path: Path, what: str, instead: str = "give another path") -> Ite
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Renames all files that `whole_file` writes in this block at its end; none of them if the block fails.
+    """Renames all files that `whole_file` writes in this block at the end of the block; renames none if the block fails.
 
     Raises:
         InputError: the files cannot be renamed.
@@ -119,7 +121,7 @@ def together() -> Iterator[None]:
 
 
 def check_file(path: Path, what: str, instead: str = "give another path") -> None:
-    """Checks that a file can be written, before a long run.
+    """Checks before a long run that a file can be written.
 
     Raises:
         InputError: the file cannot be written.
@@ -130,7 +132,7 @@ def check_file(path: Path, what: str, instead: str = "give another path") -> Non
 
 
 def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
-    """Checks that a folder exists or can be made, and that files can be written in it. Leaves nothing behind.
+    """Checks that a folder exists or can be created, and that files can be written in it. Leaves nothing behind.
 
     Raises:
         InputError: the folder cannot be created, or files cannot be written in it.
@@ -144,7 +146,7 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
 
 @contextmanager
 def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
-    """Makes a folder and its missing parents. If the block fails, removes the empty ones among them.
+    """Creates a folder and its missing parents. If the block fails, removes those of them that are empty.
 
     Raises:
         InputError: the folder cannot be created, or files cannot be written in it.
@@ -164,7 +166,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 @contextmanager
 def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
-    """Turns an error of the system into an InputError; the end of a pipe's reader stays as it is."""
+    """Turns an error of the operating system into an InputError, except the error of a pipe whose reader has ended."""
     try:
         yield
     except BrokenPipeError:
@@ -174,7 +176,7 @@ def _system_errors(path: Path, what: str, instead: str) -> Iterator[None]:
 
 
 def _target(path: Path, what: str, instead: str) -> Path:
-    """Returns the target of a path, links resolved.
+    """Returns the target of a path after resolving links.
 
     Raises:
         InputError: the path is a folder or read-only, or its folder does not exist.
@@ -190,18 +192,18 @@ def _target(path: Path, what: str, instead: str) -> Path:
 
 
 def _is_stream(path: Path) -> bool:
-    """Returns True for standard output, a pipe or a device, which get their content, but are not replaced."""
+    """Returns True for standard output, a pipe or a device, which receive their content but are not replaced."""
     return path == STDOUT or (path.exists() and not path.is_file() and not path.is_dir())
 
 
 def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
-    """Writes a file in a folder and removes it: permission bits do not decide, as on read-only disks."""
+    """Checks a folder by writing and removing a file. Permission bits are not sufficient, for example on read-only disks."""
     with _system_errors(path, what, instead), tempfile.TemporaryFile(dir=folder):
         pass
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns a value that is equal for all paths of one file or folder: links, hard links, other cases of letters."""
+    """Returns a value that is equal for all paths of the same file or folder: links, hard links, or names in another case."""
     try:
         status = path.stat()
     except (OSError, ValueError):
@@ -211,7 +213,7 @@ def identity(path: Path) -> tuple[int, int] | str:
 
 @contextmanager
 def reading(path: Path, purpose: str, give: str = "give another file") -> Iterator[None]:
-    """Turns any error that a library raises in this block into an InputError with the path, the purpose and the library's words.
+    """Turns any error that a library raises in this block into an InputError with path, purpose and the library's message.
 
     Args:
         path: the file that the block reads.
@@ -219,7 +221,7 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
         give: advice for the message: what to do instead.
 
     Raises:
-        InputError: the block failed. An InputError of the block keeps its own words, after the purpose and the path.
+        InputError: the block failed. If the block raises an InputError, its message follows the purpose and the path.
     """
     try:
         yield
@@ -240,7 +242,7 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
 
 
 def read_bytes(path: Path, purpose: str, give: str = "give another file") -> bytes:
-    """Returns the content of a file, a link to one, or a pipe.
+    """Returns the content of a file, of a link to a file, or of a pipe.
 
     Raises:
         InputError: the file does not exist, or cannot be read.
@@ -250,7 +252,7 @@ def read_bytes(path: Path, purpose: str, give: str = "give another file") -> byt
 
 
 def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
-    """Returns the text of a file in UTF-8, with or without a byte order mark; lines end with a line feed.
+    """Returns the text of a UTF-8 file, with or without a byte order mark. Lines of the result end with a line feed.
 
     Raises:
         InputError: the file does not exist, cannot be read, or is not text in UTF-8.
@@ -264,5 +266,5 @@ def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
 
 
 def origin(file: str, content: bytes) -> str:
-    """Returns a comment line for a vehicle file that names the file whose content it includes."""
+    """Returns a comment for a vehicle file that contains the content of another file: name, size and checksum of that file."""
     return f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"

@@ -1,7 +1,7 @@
-"""Public names of a package, and names of registries, that are imported at their first use, so that `import sim` is fast.
+"""Lazy imports: public names of a package, and names in registries, are imported at their first use.
 
-A function that is called by its public name checks its arguments first (`models.common.checks`). The packages themselves do not
-use these names.
+Lazy imports keep `import sim` fast. A function that is called by its public name checks its arguments first
+(`models.common.checks`). The packages themselves do not use these public names.
 """
 
 import ast
@@ -17,14 +17,19 @@ if TYPE_CHECKING:
 
 
 def resolve_name(where: str) -> "Any":
-    """Returns what a registry names as "module:name", or as "module"."""
+    """Returns the object or module that a registry entry "module:name" or "module" refers to."""
     module, _, name = where.partition(":")
     found = importlib.import_module(module)
     return getattr(found, name) if name else found
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
-    """Returns `__getattr__`, `__dir__` and `__all__` of a package: the imports that its file has for type checkers."""
+    """Returns `__getattr__`, `__dir__` and `__all__` of a package with lazy imports.
+
+    Args:
+        package: name of the package.
+        file: path of its `__init__.py`. The public names are those that this file imports for type checkers.
+    """
     tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     imports = [node for one in tree.body if isinstance(one, ast.If) for node in one.body if isinstance(node, ast.ImportFrom)]
     where = {alias.name: node.module or "" for node in imports for alias in node.names}
@@ -38,7 +43,7 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
             from models.common.checks import check_arguments
 
             value = check_arguments(value)
-        setattr(sys.modules[package], name, value)  # later accesses do not come here
+        setattr(sys.modules[package], name, value)  # later accesses find this attribute and do not call `get`
         return value
 
     return get, lambda: sorted(where), sorted(where)

@@ -1,7 +1,8 @@
-"""Printed output: lines of at most 80 columns, numbers, commands to paste into a shell, and progress.
+"""Printed output: lines of at most 80 columns, formats of numbers, commands to paste into a shell, and progress.
 
-The width is fixed, so that output does not depend on the terminal. A longer sentence continues in the next line, indented; in a
-table, a name that is too long has its own line. Only paths and lines to copy may be longer, as they must not be broken.
+The width is fixed, so the output does not depend on the terminal. A longer sentence continues on the next line, indented. In a
+table, a name that is too long gets a line of its own. Only paths, and lines to copy, may be longer, because they must not be
+broken.
 """
 
 import math
@@ -15,39 +16,46 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-# Formats of numbers in sentences. Columns of tables have fields (`models.document.field`).
-NORM_DIGITS = ".7g"  # of a norm, a bound on one, and a level
+# Formats of numbers in sentences. Columns of tables use fields (`models.document.field`).
+NORM_DIGITS = ".7g"  # a norm, a bound on a norm, or a level
 digits = f"{{:{NORM_DIGITS}}}".format
-entry = "{:.6g}".format  # of a gain or a law
-rough = "{:.4g}".format  # of a pole, a rate, a time, a slope
-brief = "{:.3g}".format  # of a size that only compares
-about = "{:.2g}".format  # of an estimate
-magnitude = "{:.0e}".format  # of rounding errors
-exactly = "{:.10g}".format  # of claims that do not hold, which may differ from the truth by little
+entry = "{:.6g}".format  # an entry of a gain or of a control law
+rough = "{:.4g}".format  # a pole, a rate, a time or a slope
+brief = "{:.3g}".format  # a number for comparison
+about = "{:.2g}".format  # an estimate
+magnitude = "{:.0e}".format  # a rounding error
+exactly = "{:.10g}".format  # a claim that does not hold, which may differ only slightly from the true value
 
 
 def finite(value: Any) -> float | None:
-    """Returns a number for JSON: None if it is infinite or absent."""
+    """Returns a number for JSON; None if it is infinite or missing."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
 def cell(value: float | None, form: str, unit: str = "") -> str:
-    """Returns a number for a table, "-" if it is infinite or absent."""
+    """Returns a number for a table; "-" if it is infinite or missing."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
 
 
 def difference(value: float) -> str:
-    """Returns a relative difference with two digits."""
+    """Returns a relative difference as text with two digits."""
     return f"{value:.1e}" if value else "0"
 
 
 def as_name(name: str) -> str:
-    """Returns a controller's name for a sentence: in backticks, which a page shows as code and a picture as quotes."""
+    """Returns a controller's name for a sentence, in backticks. A page shows backticks as code, a picture shows quotes."""
     return f"`{name}`"
 
 
 def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Returns from pairs of name and text, by text, the names of all that have it, in backticks."""
+    """Groups names by their text.
+
+    Args:
+        said: pairs of name and text.
+
+    Returns:
+        The names with each text, in backticks, by text.
+    """
     alike: dict[str, list[str]] = {}
     for name, text in said:
         alike.setdefault(text, []).append(as_name(name))
@@ -55,12 +63,12 @@ def by_text(said: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 
 def three_digits(value: float) -> str:
-    """Returns a number with three significant digits, or more if it has more before the point."""
+    """Returns a number with three significant digits, or with more if more are before the decimal point."""
     return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
 
 
 def percent(share: float) -> str:
-    """Returns a share in percent; up to 1e-9, which is rounding, it is 0."""
+    """Returns a share in percent as text. Shares up to 1e-9 count as rounding errors and become 0."""
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
@@ -73,24 +81,27 @@ def size(rows: Sequence[Any]) -> str:
 
 
 def shell_line(words: Sequence[str]) -> str:
-    """Returns a command as one line, its words quoted for a shell."""
+    """Returns a command as one line, with its words quoted for a shell."""
     return shlex.join(words)
 
 
 def pasted_path(path: Path) -> str:
-    """Returns a path as a quoted argument; one that begins with "-" is preceded by "./"."""
+    """Returns a path as a quoted argument. A path that begins with "-" gets "./" in front."""
     return shell_line([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
 
 
-LONG_STAGE = 3.0  # s after which a line of progress also shows its time
+LONG_STAGE = 3.0  # s, after which a line of progress also shows its time
 _overwritten, _printing = threading.Event(), threading.Lock()
 
 
 def show(message: str) -> None:
-    """Prints a line to stderr that the next call overwrites; an empty one clears it. A line that lasts counts its seconds."""
+    """Prints a line to stderr that the next call overwrites; an empty text clears it.
+
+    A line that stays also shows its seconds.
+    """
     global _overwritten
     if not sys.stderr or not sys.stderr.isatty():
         return
@@ -103,7 +114,7 @@ def show(message: str) -> None:
 
 
 def _count(message: str, overwritten: threading.Event) -> None:
-    """Prints a line of progress with its time again and again, until it is overwritten."""
+    """Prints a line of progress with its time every second, until it is overwritten."""
     start, pause = time.monotonic(), LONG_STAGE
     while not overwritten.wait(pause):
         pause = 1.0
@@ -117,25 +128,28 @@ def _show(message: str) -> None:
 
 
 class Stages:
-    """Counted stages of a command: `[2/6] margins: 31 runs of 12 s to go`."""
+    """Numbered stages of a command: `[2/6] margins: 31 runs of 12 s to go`."""
 
     def __init__(self, *names: str) -> None:
-        """Prepares the stages, in order."""
+        """Sets the names of the stages, in order."""
         self._names, self._now = names, ""
 
     def __call__(self, text: str) -> None:
-        """Begins the stage of that name; any other text is shown as progress of the current stage, an empty one clears it."""
+        """Begins the stage with this name.
+
+        Any other text is shown as progress of the current stage; an empty text clears it.
+        """
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
         show(f"{self._now}: {text}" if text else self._now)
 
     def counted(self, name: str, total: int, what: str) -> Callable[[int], None]:
-        """Begins a stage. Returns a function that shows how many of `total` are done."""
+        """Begins a stage, and returns a function that shows how many items out of `total` are done."""
         self(name)
         return lambda done: self(f"{done} of {total} {what}")
 
     def end(self) -> None:
-        """Clears the line before the result is printed."""
+        """Clears the line of progress before the result is printed."""
         show("")
 
 
@@ -145,24 +159,27 @@ GLUE = "\N{NO-BREAK SPACE}"
 
 
 class Whole(str):
-    """Line to be copied, which is never broken."""
+    """Line to be copied. It is never broken."""
 
 
 def say(lines: Iterable[str]) -> None:
-    """Prints lines, wrapped by `fit_lines`."""
+    """Prints lines after wrapping them by `fit_lines`."""
     print("\n".join(fit_lines(lines)), flush=True)
 
 
 def fit_lines(lines: Iterable[str]) -> list[str]:
-    """Returns lines of at most `WIDTH`: a longer one is broken, and continues indented by two more columns."""
+    """Returns lines of at most `WIDTH` columns. A longer line is broken, and continues indented by two more columns."""
     return [part for line in lines for part in (wrap_text(line) if len(line) > WIDTH else [line])]
 
 
-LINES = 24  # of a terminal
+LINES = 24  # height of a terminal
 
 
 def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:
-    """Returns the sentences that a terminal has room for beside other lines, the first in any case, and how many are left."""
+    """Returns the sentences for which a terminal has room besides other lines, and a line with the number of the others.
+
+    The first sentence is always included.
+    """
     room, lines = LINES - len(fit_lines(others)), list[str]()
     for i, sentence in enumerate(sentences):
         more = len(sentences) - i - 1
@@ -173,17 +190,17 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
 
 
 def title_lines(title: str, source: str) -> list[str]:
-    """Returns a title, and below it the path of its source."""
+    """Returns a title and, on the next line, the path of its source."""
     return [title, Whole(f"{GAP}{source}")]
 
 
 def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
-    """Returns a text in lines of at most `WIDTH`, without breaking words or separating a number from its unit.
+    """Returns a text as lines of at most `WIDTH` columns, without breaking words or separating a number from its unit.
 
     Args:
-        text: the text; its leading spaces stay.
+        text: the text; its leading spaces are kept.
         start: prefix of the first line.
-        hang: spaces before the other lines. Default: two more than before the first.
+        hang: number of spaces before the other lines; by default, two more than before the first line.
     """
     if isinstance(text, Whole):
         return [start + text]
@@ -199,12 +216,12 @@ def wrap_text(text: str, start: str = "", hang: int | None = None) -> list[str]:
 
 
 def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = False) -> list[str]:
-    """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long has its own line.
+    """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long gets a line of its own.
 
     Args:
-        rows: rows with the same number of cells, the first of each a name; or a text that spans all columns.
+        rows: rows with the same number of cells, whose first cell is a name; or a text that spans all columns.
         indent: prefix of every line.
-        tight: True for a single space between columns if more names fit then.
+        tight: True for a single space between columns if more names fit in this case.
     """
     all_rows = list(rows)
     cells = [row for row in all_rows if not isinstance(row, str)]
@@ -230,7 +247,7 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
 
 
 def command(words: Sequence[str]) -> list[str]:
-    """Returns a command to copy, wrapped with backslashes; each of `words` is an option with its value."""
+    """Returns a command to copy, wrapped with backslashes. Each of `words` is an option with its value."""
     lines, line = [], GAP + words[0]
     for word in words[1:]:
         if len(f"{line} {word} \\") > WIDTH:

@@ -1,6 +1,6 @@
-"""Columns of tables in users' files: their names, units and signs, in one place.
+"""Columns of tables in users' files: names, units and signs.
 
-Road profiles, drive files of rigs, curves of dampers and springs, and loads over time all use this table.
+Road profiles, drive files of rigs, characteristics of dampers and springs, and loads over time all use this table.
 """
 
 import re
@@ -16,9 +16,9 @@ class Quantity:
     """Quantity in a column of a table.
 
     Attributes:
-        units: size of each unit in SI; the first one is the SI unit. Others of its dimension are read, too.
-        positive: meaning of a positive number; empty if there is no choice.
-        words: other names, in small letters.
+        units: size of each unit in SI. The first unit is the SI unit. Other units of the same dimension are also read.
+        positive: meaning of a positive number; empty if there is only one possible meaning.
+        words: other names of the quantity, in lower case.
     """
 
     units: Mapping[str, float]
@@ -27,7 +27,7 @@ class Quantity:
 
     @property
     def si(self) -> str:
-        """The SI unit."""
+        """SI unit of the quantity."""
         return next(iter(self.units))
 
 
@@ -45,13 +45,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "force": Quantity(FORCE, "against extension"),
 }
 UNREAD = "another quantity"
-_WORDS: Mapping[str, str] = {  # names of quantities that no reader takes, and words that say nothing about a quantity
+_WORDS: Mapping[str, str] = {  # names of quantities that no reader uses, and words that are not names of a quantity
     UNREAD: "speed v acceleration lat latitude lon longitude iri slope width n no number index id",
     "": "wheel wheelpath path track road surface ground along the of in side vertical gps gnss point above sea level",
     **{name: f"{name} {quantity.words}" for name, quantity in QUANTITIES.items()},
 }
 NAMES: Mapping[str, str] = {word: name for name, words in _WORDS.items() for word in words.split()}
-DIRECTIONS: Mapping[str, int] = {  # words of a heading that decide its sign: 1 in extension, -1 in compression
+DIRECTIONS: Mapping[str, int] = {  # words of a heading that determine its sign: 1 in extension, -1 in compression
     word: sign
     for sign, words in (
         (-1, "compression comp bump bound jounce druck druckkraft druckstufe einfederung einfederweg"),
@@ -60,7 +60,7 @@ DIRECTIONS: Mapping[str, int] = {  # words of a heading that decide its sign: 1 
     for word in words.split()
 }
 CORNERS = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
-CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as files of rigs call corners
+CORNERS |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # names of corners in files of test rigs
 BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 
 
@@ -71,8 +71,8 @@ class Heading:
     Attributes:
         text: text of the heading.
         name: the text without its unit.
-        unit: usual name of the unit, or the unit as written if it is unknown; empty for none.
-        column: number of the column, from 1.
+        unit: usual name of the unit; if the unit is unknown, its text. Empty for a heading without a unit.
+        column: number of the column, counted from 1.
     """
 
     text: str = ""
@@ -82,20 +82,20 @@ class Heading:
 
     @property
     def quantity(self) -> str:
-        """One of `QUANTITIES`; empty if the heading names none or several, or has an unknown word."""
+        """A key of `QUANTITIES`; empty if the heading has an unknown word, or the name of no or several quantities."""
         named = {NAMES.get(word, "unknown") for word in self.words} - {""}
         if len(named) == 2:
-            named.discard("height")  # "left height"
+            named.discard("height")  # as in "left height"
         return named.pop() if len(named) == 1 and named != {"unknown"} else ""
 
     @property
     def words(self) -> frozenset[str]:
-        """The words of its name, in small letters."""
+        """Words of the heading's name, in lower case."""
         return frozenset(re.findall(r"[^\W\d_]+", self.name.lower()))
 
     @property
     def direction(self) -> int:
-        """The direction that its words call positive: 1 for extension, -1 for compression, and 0 for none or both."""
+        """Positive direction according to the words: 1 for extension, -1 for compression, 0 for no direction or both."""
         return sum({DIRECTIONS[word] for word in self.words & DIRECTIONS.keys()})
 
     def scale(self, quantity: str, option: str = "", given: str = "", default: str = "") -> float:
@@ -103,12 +103,12 @@ class Heading:
 
         Args:
             quantity: quantity of the column, a key of `QUANTITIES`.
-            option: name of the setting that gives the unit; empty for none.
-            given: the unit that the setting gives; empty for none.
-            default: the unit of a heading without one; empty if a unit is required.
+            option: name of the setting that can give the unit; empty without such a setting.
+            given: the unit that the setting gives; empty if it gives no unit.
+            default: the unit of a heading without a unit; empty if a unit is required.
 
         Raises:
-            InputError: the unit is missing, or not one of the quantity, or the setting gives another one.
+            InputError: the unit is missing, does not belong to the quantity, or contradicts the setting.
         """
         units, si = QUANTITIES[quantity].units, QUANTITIES[quantity].si
         size = unit_size(self.unit, si)
@@ -119,7 +119,7 @@ class Heading:
         if not given and self.unit and size is None:
             raise InputError(f"{column} has the unit {short_repr(self.unit)} ({allowed}); convert the column{instead}")
         if not (given or self.unit or default):
-            name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # also of a variable in MATLAB
+            name = f"{self.name}_{re.sub('[ /]', '_', si)}"  # this form can also be the name of a MATLAB variable
             raise InputError(f"{column} has no unit ({allowed}); write the heading {self.name} [{si}] or {name}{instead}")
         return units[given or default] if given or size is None else size
 
@@ -127,17 +127,18 @@ class Heading:
 def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
     """Returns a heading from its cell: `right [mm]`, `height_cm`, `Distance (ft)`, `left / mm`, `[m]`, `m`.
 
-    Where forces are among the units, pounds are a force.
+    If forces are among the units, pounds are a force.
 
     Args:
-        units: units whose dimensions a unit without brackets may have.
-        column: number of the column, from 1.
+        text: text of the cell.
+        units: units whose dimensions are allowed for a unit without brackets.
+        column: number of the column, counted from 1.
     """
     text = " ".join(text.split())
     if bracket := BRACKETS.search(text):
         is_unit = any(unit_size(bracket[1], quantity.si) for quantity in QUANTITIES.values())
         if Heading(name=bracket[1]).quantity in QUANTITIES and not is_unit:
-            return Heading(text, text, "", column)  # height (left)
+            return Heading(text, text, "", column)  # brackets without a unit, as in "height (left)"
         return Heading(text, text[: bracket.start()], _unit_of(bracket[1], units), column)
     for gap in re.finditer(r"^|[\s_/,-]+", text):
         written = text[gap.end() :].replace("_", "/")  # MATLAB's velocity_mm_s
@@ -147,13 +148,18 @@ def heading_of(text: str, units: Collection[str], column: int = 0) -> Heading:
 
 
 def columns_in_words(headings: Sequence[Heading]) -> str:
-    """Returns columns by their numbers and headings, as in: columns 1 ('X') and 2 ('Y')."""
+    """Returns a phrase with numbers and headings of columns, such as: columns 1 ('X') and 2 ('Y')."""
     names = [f"{one.column} ({short_repr(one.text)})" for one in headings]
     return f"column{'s' * (len(names) > 1)} {' and '.join(filter(None, (', '.join(names[:-1]), names[-1])))}"
 
 
 def left_out_words(headings: Sequence[Heading], used: Collection[int]) -> list[str]:
-    """Returns a remark on the named columns that are not used, by their numbers from 1; empty if all are used."""
+    """Returns a remark about columns with headings that are not used; empty if all are used.
+
+    Args:
+        headings: headings of all columns.
+        used: numbers of the columns that are used, counted from 1.
+    """
     left = [one for one in headings if one.text and one.column not in used]
     return [f"{columns_in_words(left)} {'are' if len(left) > 1 else 'is'} left out"] if left else []
 

@@ -1,13 +1,13 @@
-"""Sections of a file as data: a section is a frozen dataclass, and the annotation of a field holds unit, range and meaning.
+"""Sections of a file as data. A section is a frozen dataclass; the annotation of each field gives unit, range and meaning.
 
     @dataclass(frozen=True)
     class Payload(Section):
         mass: Annotated[float, SI("kg", "point mass on the body", high=1e5)]
         x: Annotated[float, SI("m", "position of the mass, forward", -20.0, 20.0)] = 0.0
 
-From this declaration follow the reader of the section and the message for wrong input (`read`), the record of the section in logs
-(`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`). `models.common.checks` reads the same
-annotations for public functions.
+This declaration determines the reader of the section and the messages for invalid input (`read`). It also determines the record
+of the section in logs (`Section.record`), the reference page (`keys`) and the JSON schema (`json_schema`).
+`models.common.checks` uses the same annotations for public functions.
 """
 
 import functools
@@ -22,20 +22,22 @@ from models.common.checks import HERE, is_finite
 from models.common.errors import InputError, alike, error_in, list_names, number_range, short_repr
 from models.common.units import in_unit, setting
 
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; a number of a file beyond these is a mistake
-TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}  # JSON
-WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # of a text that is a number with its unit
+SMALLEST, LARGEST = 1e-6, 1e12  # SI; larger or smaller numbers in a file are probably mistakes
+# JSON schemas
+TEXT, NUMBER, PAIR = {"type": "string"}, {"type": ["number", "string"]}, {"type": "array", "minItems": 2, "maxItems": 2}
+WITH_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*[^\s\d.,eE+-]"  # pattern of a text that is a number with a unit
 MOST_SEED = 2**63 - 1
-PLACES = re.compile(HERE + r"((?:\.\w+)*)")  # `read` replaces it by section and key; ".NAME" after it is a key below
+# `read` replaces this by section and key; ".NAME" after it is the name of a key inside the value
+PLACES = re.compile(HERE + r"((?:\.\w+)*)")
 
 
 class Key:
-    """Annotation of a key: reads its value with `read`, and describes the key in the reference page and the JSON schema.
+    """Annotation of a key. It reads the value with `read`, and describes the key in the reference page and the JSON schema.
 
     Attributes:
-        unit: unit of the value; empty without one.
+        unit: unit of the value; empty for a value without a unit.
         meaning: description of the key, one phrase.
-        schema: JSON schema of the value, if it is the same for all keys of the class.
+        schema: JSON schema of the value, if it is equal for all keys of the class.
     """
 
     unit: str = ""
@@ -44,26 +46,27 @@ class Key:
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the value."""
+        """JSON schema of the value."""
         return self.schema
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns a value of a file, converted.
+        """Returns the converted value of the key.
 
         Args:
-            context: facts of the vehicle, see `read`, and the values of the keys that are declared before this one.
+            value: value in the file.
+            context: facts about the vehicle, see `read`, and the values of the keys that are declared before this key.
 
         Raises:
-            InputError: the value is not allowed; `HERE` stands for section and key in its message.
+            InputError: the value is not allowed. Its message contains `HERE` instead of section and key.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class SI(Key):
-    """A number in a unit and a range, written as 380 or "380 kg"; `more` ends the message for another value.
+    """A number with a unit and a range, written as 380 or "380 kg". `more` is the end of the message for an invalid value.
 
-    Infinity is a number if it is the largest one. The key is also a condition of `models.common.checks`.
+    Infinity is allowed if it is the largest value. This annotation can also be a condition of `models.common.checks`.
     """
 
     unit: str = "1"
@@ -77,10 +80,10 @@ class SI(Key):
         return self.number(HERE, value)
 
     def number(self, what: str, value: Any) -> float:
-        """Returns a number in SI units; `what` names it in the message.
+        """Returns a number in SI units. `what` is its name in messages.
 
         Raises:
-            InputError: the value is not a number, in another unit, or out of range.
+            InputError: the value is not a number, is out of range, or has another unit.
         """
         value = in_unit(value, self.unit, what)
         if not (is_finite(value) or (isinstance(value, float) and value == self.high)) or not self.low <= value <= self.high:
@@ -89,26 +92,26 @@ class SI(Key):
 
     @property
     def words(self) -> str:
-        """The allowed values; see `models.common.checks.Must`."""
+        """Description of the allowed values; see `models.common.checks.Must`."""
         return number_range(self.low, self.high, self.unit)
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the number."""
+        """JSON schema of the number."""
         number = {"type": "number", "minimum": self.low} | ({"maximum": self.high} if self.high < math.inf else {})
         return {"anyOf": [number, {"type": "string", "pattern": WITH_UNIT}]}
 
 
 @dataclass(frozen=True)
 class Flag(Key):
-    """True or false; `more` ends the message for another value."""
+    """True or false. `more` is the end of the message for an invalid value."""
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "boolean"}
     meaning: str = ""
     more: str = ""
 
     def read(self, value: Any, context: Mapping[str, Any]) -> bool:
-        """Returns the truth value."""
+        """Returns True or False."""
         if not isinstance(value, bool):
             raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give true or false{self.more}")
         return value
@@ -116,7 +119,7 @@ class Flag(Key):
 
 @dataclass(frozen=True)
 class Integer(Key):
-    """An integer of a range; `more` ends the message for another value."""
+    """An integer in a range. `more` is the end of the message for an invalid value."""
 
     meaning: str = ""
     low: int = 0
@@ -133,13 +136,13 @@ class Integer(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the integer."""
+        """JSON schema of the integer."""
         return {"type": "integer", "minimum": self.low, "maximum": self.high}
 
 
 @dataclass(frozen=True)
 class Choice(Key):
-    """One of several texts; `more` ends the message for another value."""
+    """One of several texts. `more` is the end of the message for an invalid value."""
 
     meaning: str = ""
     texts: tuple[str, ...] = ()
@@ -153,13 +156,13 @@ class Choice(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the text."""
+        """JSON schema of the text."""
         return {"enum": list(self.texts)}
 
 
 @dataclass(frozen=True)
 class Text(Key):
-    """A text; `more` ends the message for another value."""
+    """A text. `more` is the end of the message for an invalid value."""
 
     schema: ClassVar[Mapping[str, Any]] = TEXT
     meaning: str = ""
@@ -174,7 +177,7 @@ class Text(Key):
 
 @dataclass(frozen=True)
 class ListedValues(Key):
-    """A list of values, each of which another key reads; `more` ends the message for a list of another length."""
+    """A list of values that another key reads. `more` is the end of the message for a list of invalid length."""
 
     meaning: str = ""
     each: Key = Text()
@@ -197,13 +200,13 @@ class ListedValues(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the list."""
+        """JSON schema of the list."""
         return {"type": "array", "items": dict(self.each.json), "minItems": self.least}
 
 
 @dataclass(frozen=True)
 class AnyTable(Key):
-    """A table whose keys are names, and whose values are read later, when more is known."""
+    """A table whose keys are names. Its values are read later, when more information is available."""
 
     schema: ClassVar[Mapping[str, Any]] = {"type": "object"}
     meaning: str = ""
@@ -219,9 +222,9 @@ class AnyTable(Key):
 
 @dataclass(frozen=True)
 class Subsection(Key):
-    """A table that is a section by itself; of several sections, it is that whose first key without default the table has.
+    """A table that is a section. If there are several possible sections, the required key in the table selects one of them.
 
-    The message for another value ends with `give`.
+    `give` is the end of the message for an invalid value.
     """
 
     meaning: str = ""
@@ -239,15 +242,15 @@ class Subsection(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the section."""
+        """JSON schema of the section."""
         return {"anyOf": [json_schema(one) for one in self.sections]}
 
 
 @dataclass(frozen=True)
 class BySignal(Key):
-    """A table with a number of a range for some signals, or other names, each in the unit of its signal or in a common unit.
+    """A table with numbers for signals or for other names. Each number has the unit of its signal, or a common unit.
 
-    The context of the reader has a table `names`, with the unit of each name that is allowed.
+    The entry `names` in the context of the reader gives the unit of each allowed name.
     """
 
     meaning: str = ""
@@ -270,13 +273,13 @@ class BySignal(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the table."""
+        """JSON schema of the table."""
         return {"type": "object", "additionalProperties": SI("of its signal", "", self.low, self.high).json}
 
 
 @dataclass(frozen=True)
 class ReadBy(Key):
-    """A value of one section alone, which a function of value and context reads, as `Key.read` does; `allowed` is its schema."""
+    """A value that only one section uses. A function of value and context reads it; `allowed` is its JSON schema."""
 
     meaning: str = ""
     function: Callable[[Any, Mapping[str, Any]], Any] = lambda value, _: value
@@ -285,16 +288,16 @@ class ReadBy(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the value."""
+        """JSON schema of the value."""
         return self.allowed
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns what the function returns."""
+        """Returns the result of the function."""
         return self.function(value, context)
 
 
 def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
-    """Returns a value within the value of a key; messages name its place there, `.NAME` or `[INDEX]`, too."""
+    """Reads a value inside the value of a key. Messages also contain its place there, `.NAME` or `[INDEX]`."""
     try:
         return key.read(value, context)
     except InputError as error:
@@ -302,11 +305,11 @@ def below(place: str, key: Key, value: Any, context: Mapping[str, Any]) -> Any:
 
 
 class Section:
-    """Base of the dataclasses that are sections of a file.
+    """Base class of dataclasses that are sections of a file.
 
     Attributes:
-        hints: advice on keys that users expect and that the section does not have, by key.
-        by_place: True if the section may have sections of single suspensions or axles below it.
+        hints: advice about keys that a user may expect but that the section does not have, by key.
+        by_place: True if the section may contain sections for single suspensions or axles.
     """
 
     hints: ClassVar[Mapping[str, str]] = {}
@@ -314,18 +317,18 @@ class Section:
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the table of a file with the values that depend on other keys converted, before any value is checked."""
+        """Returns the table of a file after converting values that depend on other keys, before any value is checked."""
         return given
 
     @property
     def record(self) -> dict[str, Any]:
-        """The section in a log: its keys that differ from the defaults, in SI units."""
+        """The section in a log: keys whose values differ from the defaults, in SI units."""
         given = {one.name: (getattr(self, one.name), one.default) for one in fields(self)}  # pyright: ignore[reportArgumentType]
         return {name: _plain_value(value) for name, (value, usual) in given.items() if value != usual}
 
 
 def _plain_value(value: Any) -> Any:
-    """Returns a value of a section as TOML and JSON hold it."""
+    """Returns a value of a section in the form in which TOML and JSON contain it."""
     if isinstance(value, Section):
         return value.record
     return [_plain_value(one) for one in value] if isinstance(value, tuple) else value
@@ -335,17 +338,20 @@ S = TypeVar("S", bound=Section)
 
 
 def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
-    """Returns a section of a file.
+    """Reads a section of a file.
 
     Args:
-        where: name of the section, for messages, as in "[payload]".
-        section: the dataclass of the section.
+        where: name of the section for messages, such as "[payload]".
+        section: dataclass of the section.
         given: table of the section, as read from TOML or JSON.
-        context: facts of the vehicle on which the allowed values depend, by name.
+        context: facts about the vehicle on which the allowed values depend, by name.
+
+    Returns:
+        The section, an object of the dataclass.
 
     Raises:
-        InputError: a key is missing or unknown, a value is not allowed, or the values do not fit together: the message has
-            section and key, what was found, what is allowed, and what to do.
+        InputError: a key is missing or unknown, a value is not allowed, or values do not fit together. The message gives
+            section and key, the wrong value, the allowed values and a correction.
     """
     if not isinstance(given, Mapping):
         write = f"section; write {where} once, and its keys below"
@@ -368,7 +374,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
         if name not in given and usual is MISSING:
             unit = f" [{key.unit}]" if key.unit else ""
             raise InputError(f"{where} {name} is missing; give {name}{unit}: {key.meaning}".lstrip())
-        if name in given and (given[name] is not None or usual is not None):  # a log has null for what is not given
+        if name in given and (given[name] is not None or usual is not None):  # a log contains null for values that are not given
             with locate_errors(where, [name]):
                 values[name] = key.read(given[name], {**seen, **context})
         seen[name] = values.get(name, usual)
@@ -378,7 +384,7 @@ def read(where: str, section: type[S], given: Any, /, **context: Any) -> S:
 
 @contextmanager
 def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
-    """Names section and key in the message of an InputError, in the place of `HERE`, or at its beginning."""
+    """Adds section and key to the message of an InputError, instead of `HERE` or at its beginning."""
     try:
         yield
     except InputError as error:
@@ -387,14 +393,16 @@ def locate_errors(where: str, path: Sequence[str]) -> Iterator[None]:
 
 
 def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()) -> S:
-    """Returns a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line, where a number may be without its unit.
+    """Reads a section from a text `:NAME=VALUE:NAME=VALUE`, as on a command line. Numbers may be given without units.
 
     Args:
         where: name of the section, for messages.
-        names: the allowed names; those of all keys by default.
+        section: dataclass of the section.
+        text: the text.
+        names: the allowed names; by default, those of all keys.
 
     Raises:
-        InputError: the text has another form, or a name or a value is not allowed.
+        InputError: the text has another form, or a name or value is not allowed.
     """
     known, given = keys(section), dict[str, Any]()
     with error_in(where):
@@ -412,7 +420,7 @@ def read_text(where: str, section: type[S], text: str, names: Sequence[str] = ()
 
 
 def _place(where: str, path: Sequence[str]) -> str:
-    """Returns the name of a key as in TOML, its tables in brackets."""
+    """Returns the name of a key as in TOML, with the names of its tables in brackets."""
     if where.startswith(HERE):
         return ".".join([where, *path])
     if not where.endswith("]"):
@@ -422,22 +430,22 @@ def _place(where: str, path: Sequence[str]) -> str:
 
 @functools.cache
 def keys(section: type) -> dict[str, Key]:
-    """Returns unit, meaning and allowed values of every key of a section, by name."""
+    """Returns the annotation of every key of a section by name, with its unit, meaning and allowed values."""
     return {one.name: _key(one.type) for one in fields(section)}
 
 
 def required_keys(section: type) -> list[str]:
-    """Returns the names of the keys of a section that have no default."""
+    """Returns the names of the keys of a section that do not have a default."""
     return [one.name for one in fields(section) if _default(one) is MISSING]
 
 
 def _default(field: "Field[Any]") -> Any:
-    """Returns the default of a field; `MISSING` without one."""
+    """Returns the default of a field; `MISSING` for a field without a default."""
     return field.default if field.default_factory is MISSING else field.default_factory()
 
 
 def json_schema(section: type) -> dict[str, Any]:
-    """Returns the JSON schema of a section's table."""
+    """Returns the JSON schema of a section."""
     properties = {name: described_key(key.json, key.meaning, key.unit) for name, key in keys(section).items()}
     return {"type": "object", "properties": properties, "required": required_keys(section), "additionalProperties": False}
 
@@ -448,7 +456,7 @@ def described_key(schema: Mapping[str, Any], meaning: str, unit: str) -> dict[st
 
 
 def _key(annotation: Any) -> Key:
-    """Returns the `Key` of an annotation, which may also allow None."""
+    """Returns the `Key` in an annotation, which may also allow None."""
     if get_origin(annotation) is Annotated:
         return next(one for one in get_args(annotation)[1:] if isinstance(one, Key))
     return next(_key(one) for one in get_args(annotation) if get_origin(one) is Annotated)

@@ -1,9 +1,11 @@
-"""Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files: the one reader of roads, rigs, curves and logs.
+"""Tables of numbers in text files, spreadsheets, MATLAB and LabVIEW files.
 
-Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a decimal
-comma; a table has one decimal mark and no thousands marks. A comment begins with `#`, or its line with `%`, `!` or `//`. Above
-the numbers are names and units of the columns: `force [kN]`, `height_cm`, `left / mm`, or units on a line of their own.
-`csv.Sniffer` is not used: it takes the comma of `0,5;0,02` for the separator.
+Roads, rigs, characteristics and logs use this reader.
+
+Cells are separated by semicolons, tabs, commas or spaces, and may be in quotes. A comma that does not separate cells is a
+decimal comma. A table uses one decimal mark and no thousands separators. A comment begins with `#`; a line that begins with
+`%`, `!` or `//` is also a comment. Names and units of the columns are above the numbers: `force [kN]`, `height_cm`, `left /
+mm`, or units on a line of their own. `csv.Sniffer` is not used, because it takes the comma of `0,5;0,02` for the separator.
 """
 
 import csv
@@ -26,17 +28,18 @@ from models.common.logs.lvm import MAGIC, lvm_text
 from models.common.quantities import QUANTITIES, UNREAD, Heading, heading_of
 from models.common.units import unit_size
 
-SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
+# The least ambiguous separator comes first
+SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}
 COMMENT = re.compile(r"\s*(#|%|!|//)")
-THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000, or of thousands
-SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the word before it
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # a number between 1 and 1000 with a decimal comma, or a number of thousands
+SPACED_CELL = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s*)?[\[(][^\])]*[\])]|\S+')  # a unit in brackets belongs to the preceding word
 LINE_IN_QUOTES = re.compile(r'(?<![^;,\t\n])"[^"\n]*\n[^"]*"')
 CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)")
-LONGEST_UNIT = 3  # characters of a unit that is unknown
-MOST_BYTES = 500 * 10**6  # of a file: more would not fit into memory as text
-HALF_A_DAY = 43200.0  # s, after which clocks of 12 hours start again
+LONGEST_UNIT = 3  # characters of an unknown unit
+MOST_BYTES = 500 * 10**6  # of a file; larger files would not fit into memory as text
+HALF_A_DAY = 43200.0  # s, after which 12-hour clocks start again
 DIGITS = re.compile(r"[-+.,\d]*\d[-+.,\deE]*")
-MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in small letters
+MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "---"))  # cells without a number, in lower case
 
 
 @dataclass(frozen=True)
@@ -58,18 +61,19 @@ class NumberTable:
     give: str
 
     def headings(self, units: Collection[str], optional: bool = False, alike: bool = False) -> list[Heading]:
-        """Returns the headings of all columns: those of the line just above the numbers, or above their line of units.
+        """Returns the headings of all columns. They are on the line above the numbers, or above a line with units.
 
         Args:
-            units: units whose dimensions columns may have.
-            optional: True if a table needs no headings. A comment is then read only if it names quantities alone.
+            units: units whose dimensions are allowed for columns.
+            optional: True if the table needs no headings. A comment is then read as headings only if it contains only
+                quantities.
             alike: True if several columns may have the same name.
 
         Raises:
-            InputError: headings are missing or equal, or there is a number among them.
+            InputError: headings are missing, are equal, or contain a number.
         """
         text = LINE_IN_QUOTES.sub(lambda cell: " ".join(cell[0].split()), "\n".join(self.lines[: self.first]))
-        above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # by whether the line is a comment
+        above: dict[bool, list[list[Heading]]] = {True: [], False: []}  # key: True if the line is a comment
         for line in text.split("\n"):
             comment = COMMENT.match(line)
             cells = self._heading_cells(line[comment.end() :] if comment else line)
@@ -103,7 +107,7 @@ class NumberTable:
         return headings
 
     def _heading_cells(self, line: str) -> list[str]:
-        """Returns the cells of a line above the numbers; none if they are not so many. It may have another separator."""
+        """Returns the cells of a line above the numbers; empty if their number is wrong. The separator may be another one."""
         if self.count == 1 and line.strip():
             return [line.strip("\"'; ")]
         for mark in dict.fromkeys((self.separator.strip(" ") or ";", *SEPARATORS.values())):
@@ -113,7 +117,7 @@ class NumberTable:
         return []
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yields the cells of every line of numbers, and its number from 1."""
+        """Yields the number of every line of numbers, counted from 1, and its cells."""
         for number, line in enumerate(self.lines[self.first :], self.first + 1):
             if self.separator != ";" and line.lstrip().startswith(";"):
                 continue  # a comment
@@ -121,16 +125,17 @@ class NumberTable:
                 yield number, cells
 
     def numbers(self, columns: Sequence[int] = (), ragged: bool = False, gaps: bool = False) -> tuple[Array, Sequence[int]]:
-        """Returns the finite numbers of columns, shape (rows, columns), and the line of every row, from 1.
+        """Returns the numbers of columns, shape (rows, columns), and the line number of every row, counted from 1.
 
         Args:
-            columns: numbers of columns, from 0; all if empty. Other columns, and what follows the last one, may be text.
+            columns: column numbers, counted from 0; empty for all columns. Other columns, and text after the last one, are
+                ignored.
             ragged: True if numbers may follow the last column.
-            gaps: True if cells may be missing, as in `MISSING`; these are NaN.
+            gaps: True if cells may be missing, as in `MISSING`; they become NaN.
 
         Raises:
-            InputError: a cell is not a finite number, a line has another number of them, numbers have both decimal marks, or
-                a comma may be either.
+            InputError: a cell is not a finite number, a line has another number of cells, or decimal and thousands marks are
+                ambiguous.
         """
         used = columns or range(self.count)
         lines, values, marked, integers, thousands = array("Q"), array("d"), dict[str, str](), False, True
@@ -163,10 +168,13 @@ class NumberTable:
         return np.frombuffer(values, dtype=float).reshape(-1, len(used)), lines
 
     def seconds(self, heading: Heading, default: str = "") -> Array:
-        """Returns the times of a column [s], shape (rows,): numbers in its unit, or time stamps, of one day or the next.
+        """Returns the times in a column [s], shape (rows,). Cells are numbers with a unit, or times of day.
+
+        Times of day may cross midnight once.
 
         Args:
-            default: the unit of a heading without one; empty if a unit is required.
+            heading: heading of the column.
+            default: the unit of a heading without a unit; empty if a unit is required.
 
         Raises:
             InputError: the unit is missing, or a cell is neither a number nor a time of day.
@@ -186,10 +194,10 @@ class NumberTable:
         """Returns all columns in SI units, by quantity.
 
         Args:
-            known: the quantities that columns may have.
+            known: quantities that are allowed for columns.
 
         Raises:
-            InputError: a column has another one, or see `headings`, `Heading.scale` and `numbers`.
+            InputError: a column has another quantity; or any error of `headings`, `Heading.scale` and `numbers`.
         """
         headings = self.headings([QUANTITIES[name].si for name in known])
         for heading in headings:
@@ -202,14 +210,15 @@ class NumberTable:
 
 
 def table_text(path: Path) -> str:
-    """Returns a file's text. A text file is UTF-8, else Windows-1252; that of LabVIEW has headings with units.
+    """Returns the content of a file as text.
 
-    Other files become lines with tabs. A spreadsheet (.xlsx) gives the sheet with a table, or else the first one. A MATLAB file
-    (.mat) gives its arrays, and a Parquet file (.parquet) its columns of numbers.
+    Text files are UTF-8, otherwise Windows-1252. In LabVIEW files, headings contain the units. Other files become lines with
+    tabs. A spreadsheet (.xlsx) gives the sheet with a table, otherwise its first sheet. A MATLAB file (.mat) gives its arrays,
+    and a Parquet file (.parquet) its columns of numbers.
 
     Raises:
-        InputError: the package for spreadsheets is not installed, several sheets have a table, a MATLAB or Parquet file has none,
-            or the file is too large.
+        InputError: the package for spreadsheets is not installed, or the file is too large. Also if several sheets contain a
+            table, or if a MATLAB or Parquet file contains no table.
     """
     suffix = path.suffix.lower()
     if path.exists() and (size := path.stat().st_size) > MOST_BYTES:
@@ -244,7 +253,7 @@ def table_text(path: Path) -> str:
 
 
 def _has_numbers(row: Sequence[Any]) -> bool:
-    """Returns True for two numbers or more in a row of a spreadsheet."""
+    """Returns True if a row of a spreadsheet contains at least two numbers."""
     return sum(isinstance(cell, (int, float)) for cell in row) > 1
 
 
@@ -253,7 +262,7 @@ def _tab_text(rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _parquet_rows(path: Path) -> list[Sequence[Any]]:
-    """Returns names and numbers of the columns of a Parquet file; missing numbers are NaN."""
+    """Returns names and numbers of the columns in a Parquet file. Missing numbers are NaN."""
     from pyarrow import ArrowInvalid, types
     from pyarrow.parquet import read_table
 
@@ -284,15 +293,15 @@ def _matlab_rows(content: bytes) -> list[Sequence[Any]]:
 
 
 def matlab_variables(content: bytes) -> dict[str, Any]:
-    """Returns the variables of a MATLAB file, version 4 to 7, by name, with MATLAB's own beginning with two underscores.
+    """Returns the variables of a MATLAB file, version 4 to 7, by name. MATLAB's own entries begin with two underscores.
 
     Raises:
-        InputError: another kind of file, or version 7.3.
+        InputError: the file is not a MATLAB file, or has version 7.3.
     """
     from scipy.io import loadmat
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # of two objects, which have the same name for SciPy
+        with warnings.catch_warnings(action="ignore"):  # about two objects, which have the same name in SciPy
             return loadmat(BytesIO(content))
     except NotImplementedError as error:
         raise InputError("it is of version 7.3 (HDF5), which cannot be read; save it in MATLAB with '-v7'") from error
@@ -301,15 +310,16 @@ def matlab_variables(content: bytes) -> dict[str, Any]:
 
 
 def find_table(text: str, give: str, separator: str = "", column: int = 0) -> NumberTable:
-    """Finds the table in a text: it begins with the first line that has a number in a column.
+    """Finds the table in a text. It begins with the first line that has a number in a given column.
 
     Args:
+        text: the text.
         give: required content of the file, for messages.
         separator: separator from `SEPARATORS`; empty to detect it in that line.
-        column: number of that column, from 0.
+        column: number of this column, counted from 0.
 
     Raises:
-        InputError: no line has one.
+        InputError: no line has a number in this column.
     """
     if "\0" in text:
         raise InputError(f"this is not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
@@ -318,7 +328,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
         mark, cells = _split(line, separator)
         if column < len(cells) and _number(cells[column]) is not None:
             return NumberTable(lines, first, mark, len(cells), give)
-    # Without numbers in that column, as with time stamps, most lines of the table have their numbers in the same columns.
+    # If no line has a number in this column, as with times of day, the table has most of the lines with the same column types.
     splits = [_split(line, separator) for line in lines]
     kinds = [(mark, tuple(_number(cell) is None for cell in cells)) for mark, cells in splits]
     for usual, _ in Counter(kind for kind in kinds if not all(kind[1])).most_common(1):
@@ -327,7 +337,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
 
 
 def _split(line: str, separator: str) -> tuple[str, list[str]]:
-    """Returns the separator of a line, by default the detected one, and the cells without comments."""
+    """Returns the separator of a line, by default the detected separator, and the cells without comments."""
     numbers = _without_comment(line)
     marks = [SEPARATORS[separator]] if separator else [mark for mark in SEPARATORS.values() if mark in numbers] or [" "]
     splits = {mark: _trim_cells(_cells(numbers, mark)) for mark in marks}
@@ -336,7 +346,7 @@ def _split(line: str, separator: str) -> tuple[str, list[str]]:
 
 
 def _number(cell: str) -> float | None:
-    """Returns the number in a cell, finite or not, with a decimal point or a decimal comma; None if there is not one."""
+    """Returns the number in a cell, with a decimal point or comma; None if the cell is not a number. NaN is a number here."""
     try:
         return float(cell if "." in cell else cell.replace(",", "."))
     except ValueError:
@@ -344,7 +354,7 @@ def _number(cell: str) -> float | None:
 
 
 def _maybe_unit(heading: Heading) -> bool:
-    """Returns True for a cell of a line of units: empty, a known unit, or as short as other units, such as V or bar."""
+    """Returns True for a cell that may be on a line of units: empty, a known unit, or short like other units, such as V."""
     return heading.name == "s" or (len(heading.name) <= LONGEST_UNIT and heading.quantity in ("", UNREAD))
 
 
@@ -353,14 +363,14 @@ def _without_comment(line: str) -> str:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Returns the cells of a line, some of which may be in quotes."""
+    """Returns the cells of a line. Cells may be in quotes."""
     if '"' in line:
         return [cell.strip() for cell in next(csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True))]
     return line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
 
 
 def _trim_cells(cells: list[str]) -> list[str]:
-    """Returns cells without empty ones at the end, which spreadsheets leave."""
+    """Returns cells without the empty cells at the end, which spreadsheets often write."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells

@@ -1,7 +1,7 @@
-"""Work on several threads, and BLAS on a single one.
+"""Parallel work on several threads, with BLAS limited to a single thread.
 
-The matrices here are small: BLAS threads that wait for each other take a hundred times as long on a busy machine. Moreover, the
-rounding of a design must not depend on the number of threads.
+The matrices of this project are small. On a busy machine, BLAS threads that wait for each other would take a hundred times
+longer. In addition, the rounding errors of a design must not depend on the number of threads.
 """
 
 import contextvars
@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """The limit of the process to one BLAS thread, from the first block entered until the last one left."""
+    """Limit of the process to one BLAS thread, from the first block that is entered until the last block is left."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0
@@ -46,7 +46,7 @@ _limit = _Limit()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limits BLAS to one thread in a block or a decorated function. Nesting is allowed and fast."""
+    """Limits BLAS to one thread in a block or in a decorated function. Nesting is allowed and fast."""
     _limit.enter()
     try:
         yield
@@ -54,14 +54,17 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # pieces taken per thread: one runs, one waits
+AHEAD = 2  # pieces taken per thread: one is running, one is waiting
 
 Result = TypeVar("Result")
-Piece = Callable[[Callable[[], bool]], Result]  # its argument returns True if the work is to be abandoned
+Piece = Callable[[Callable[[], bool]], Result]  # the argument of a piece returns True if the work is to be abandoned
 
 
 def cores() -> int:
-    """Returns the number of processors this process may use, at least 1; a container or a scheduler may restrict them."""
+    """Returns the number of processors that this process may use, at least 1.
+
+    A container or scheduler may limit this number.
+    """
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
@@ -71,12 +74,13 @@ def side_by_side(
 ) -> Generator[tuple[int, Result]]:
     """Yields the number and the result of every piece of work, in the order of completion.
 
-    Pieces are taken as threads become free, and run in the context of the first `next`. A caller that stops early must close the
-    iterator, which abandons the running pieces and waits for them.
+    Pieces are taken when threads become free. They run in the context of the first call of `next`. A caller that stops early
+    must close the iterator, which abandons the running pieces and waits for them.
 
     Args:
-        pieces: pieces of work; long ones first, so that the threads end at about the same time.
-        abandon: ends what running pieces wait for; called if the work is abandoned.
+        pieces: pieces of work. Long pieces should come first, so that all threads end at about the same time.
+        threads: number of threads.
+        abandon: function that ends what running pieces wait for; it is called if the work is abandoned.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:
@@ -89,7 +93,7 @@ def side_by_side(
                     return
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     yield running.pop(done), done.result()
-        except BaseException:  # also of a caller that stops early
+        except BaseException:  # includes the case of a caller that stops early
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             abandon()

@@ -1,4 +1,4 @@
-"""Edits of a user's TOML text, which keep its comments, order and blank lines, and new sections for it."""
+"""Changes to a user's TOML text that keep its comments, order and blank lines; and new sections for such a text."""
 
 import json
 import re
@@ -15,12 +15,12 @@ from models.common.files import parse_toml
 
 @dataclass(frozen=True)
 class Replacement:
-    """Keys with values that take the place of one key in a TOML text.
+    """Keys with values that replace one key in a TOML text.
 
     Attributes:
-        path: the sections of the key, from the outermost, and the key itself.
+        path: names of the sections that contain the key, from the outermost, and the name of the key itself.
         values: the new keys with their values.
-        comment: comment on the line above; empty for none.
+        comment: comment on the line above; empty for no comment.
         files: the files that contain the values.
     """
 
@@ -31,10 +31,10 @@ class Replacement:
 
 
 def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
-    """Returns a TOML text with these replacements. A comment behind a replaced key stays behind the first new one.
+    """Returns a TOML text with replaced keys. A comment after a replaced key stays after the first new key.
 
     Raises:
-        InputError: the text is not TOML, or the new text would not have exactly these values.
+        InputError: the text is not TOML, or the changed text would not have exactly the expected values.
     """
     if not replacements:
         return text
@@ -49,7 +49,7 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
         changed = _replace_texts(text, replacements)
         if _normal(parse_toml(changed)) == _normal(expected):
             return changed
-    except Exception as error:  # a text that tomlkit reads or writes wrongly
+    except Exception as error:  # tomlkit reads or writes the text incorrectly
         cause = error
     names = list_names(".".join(replacement.path) for replacement in replacements)
     raise InputError(f"{names} cannot be replaced in the file; write each key on its own line below its [section]") from cause
@@ -63,10 +63,10 @@ def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
     for replacement in replacements:
         (body, i), (outer, line) = _place(document.body, replacement.path)
         place, written = body[i][1].trivia, {key: toml_value(value) for key, value in replacement.values.items()}
-        if outer is not body:  # an inline table, where the first key's item contains the others
+        if outer is not body:  # an inline table: the item of the first key contains the others
             name, *others = written
             written = {name: ", ".join([written[name], *(f"{_key(key)} = {written[key]}" for key in others)])}
-        # tomlkit takes seconds for the items of large matrices, and none for a number that is written as the whole value.
+        # tomlkit would take seconds to create the items of large matrices. A number whose text is the whole value takes no time.
         new = [(SingleKey(key), Float(0.0, Trivia(place.indent, trail="\n"), value)) for key, value in written.items()]
         first, last = new[0][1].trivia, new[-1][1].trivia
         first.comment_ws, first.comment, last.trail = place.comment_ws, place.comment, place.trail
@@ -77,7 +77,16 @@ def _replace_texts(text: str, replacements: Sequence[Replacement]) -> str:
 
 
 def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
-    """Returns body and index of the item at a path, and those of the item in whose line it is; None if it is elsewhere."""
+    """Returns the place of a key in a tomlkit document.
+
+    Args:
+        body: body of the document or of a table.
+        path: names of the sections of the key, and of the key itself.
+        line: place of the item on whose line this body is; None for a body on its own lines.
+
+    Returns:
+        Body and index of the key's item, and body and index of the item on whose line the key is.
+    """
     from tomlkit.items import InlineTable
 
     name, *rest = path
@@ -92,7 +101,7 @@ def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
 
 
 def _normal(value: Any) -> str:
-    """Returns a text that is equal for equal tables, whatever their order, NaN included."""
+    """Returns a text that is equal for equal tables, independent of their order. NaN values are equal."""
     return json.dumps(value, sort_keys=True, default=str)
 
 
@@ -100,15 +109,16 @@ def section_lines(path: Sequence[str], values: Mapping[str, Any], comment: str =
     """Returns a section as lines of TOML.
 
     Args:
-        path: name of the section, preceded by the names of the sections that contain it.
-        comment: comment behind its name.
+        path: names of the sections that contain the section, and its own name.
+        values: keys of the section with their values.
+        comment: comment after the name of the section.
     """
     name = ".".join(map(_key, path))
     return [f"[{name}]    {comment}".rstrip(), *(f"{_key(key)} = {toml_value(value)}" for key, value in values.items())]
 
 
 def toml_value(value: Any) -> str:
-    """Returns a number, text, list or mapping on one line of TOML."""
+    """Returns a number, text, list or mapping as one line of TOML."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(key)} = {toml_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Units as people write them, `90 km/h`, `22 N/mm`, `8 Hz`: the one table of units of files, options and tables."""
+"""Numbers with units, such as `90 km/h`, `22 N/mm` or `8 Hz`. Files, options and tables all use this table of units."""
 
 import math
 import re
@@ -13,7 +13,7 @@ TIME = {"s": 1.0, "ms": 1e-3}
 VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
 FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
 MOMENT = {"N m": 1.0, "kN m": 1e3}
-# Sizes in SI, by powers of kg, m, s, A and K. Angles are numbers, so a frequency of 1 Hz is 2 pi rad/s.
+# Sizes of units in SI, by powers of kg, m, s, A and K. Angles are pure numbers, so a frequency of 1 Hz is 2 pi rad/s.
 SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
     (1, 0, 0, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
     (0, 1, 0, 0, 0): LENGTH,
@@ -30,7 +30,7 @@ SIZES: Mapping[tuple[int, ...], Mapping[str, float]] = {
     (0, 0, -1, 0, 0): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
     (0, 0, 0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
 }
-WORDS: Mapping[str, str] = {  # other names of units, in small letters
+WORDS: Mapping[str, str] = {  # other names of units, in lower case
     **{f"{prefix}{word}": f"{short}m" for prefix, short in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
        for word in ("metre", "metres", "meter", "meters")},
     **{word: unit for unit, words in {
@@ -41,25 +41,29 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
-PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}  # signs: micro, mu
-PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")  # no gram: g is the acceleration
+# The last two characters are the micro sign and the Greek letter mu
+PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}
+PREFIXED_UNITS = ("m", "s", "N", "Hz", "J", "rad", "Pa", "l", "A", "V")  # not the gram, because g is the acceleration
 COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
-TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # as in N-s/m, kg.m2
+TIMES = re.compile(r"(?<=\w)[-.](?=[^\W\d])")  # products of units, as in N-s/m or kg.m2
 POUND = re.compile(r"\blbs?\b")
 
 
 def unit_named(text: str) -> str:
-    """Returns a unit by its usual name; as it is, in small letters, if it is unknown."""
+    """Returns the usual name of a unit; if the unit is unknown, its text in lower case."""
     return WORDS.get(text.lower(), text.lower())
 
 
 def quantity(text: str, unit: str, what: str = "") -> float:
-    """Returns a number with its unit, `70 mm` or `8Hz`, in another unit; a number alone is in that already.
+    """Converts a number with its unit, such as `70 mm` or `8Hz`, to another unit.
+
+    A number without a unit has the result's unit.
 
     Args:
+        text: the number, with or without a unit.
         unit: unit of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
         what: name of the number, for messages.
 
@@ -76,7 +80,7 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         expected = "a pure number is expected; omit unit and quotes" if pure else f"a unit of {unit} is expected"
-        force = POUND.sub("lbf", written)  # a pound is a mass
+        force = POUND.sub("lbf", written)  # in this table, a pound (lb) is a mass
         example = number if pure else f'"{number} {force}"' if unit_size(force, unit) else _example(unit)
         unknown = "unknown " * (size is None)
         raise InputError(f"{said} has the {unknown}unit {short_repr(written)}, but {expected}, as in {example}")
@@ -84,16 +88,16 @@ def quantity(text: str, unit: str, what: str = "") -> float:
 
 
 def unit_size(unit: str, si: str) -> float | None:
-    """Returns the size of a unit in an SI unit; None if it is unknown or has another dimension."""
+    """Returns the size of a unit in an SI unit; None if the unit is unknown or of another dimension."""
     size, wanted = _size(unit), _size(si)
     return float(size[0] / wanted[0]) if size and wanted and size[1] == wanted[1] else None
 
 
 def in_unit(value: Any, unit: str, what: str) -> Any:
-    """Returns the number of a text with a number and a unit, as `quantity` does; another text or value as it is.
+    """Converts a text that contains a number with a unit, as `quantity` does. Returns any other text or value unchanged.
 
     Raises:
-        InputError: bad text as in `quantity`, or a number without a unit.
+        InputError: an error of `quantity`, or a number in quotes without a unit.
     """
     match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None and not (isinstance(value, str) and COMMA.match(value)):
@@ -106,7 +110,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
 
 
 def setting(name: str, value: str, unit: str = "1") -> float:
-    """Returns a number that is given as text, maybe with its unit, in a unit.
+    """Converts a text that contains a number, with or without a unit, to a given unit.
 
     Raises:
         InputError: the value is not a finite number, or its unit is unknown or of another dimension.
@@ -121,12 +125,15 @@ def setting(name: str, value: str, unit: str = "1") -> float:
 
 
 def _example(unit: str) -> str:
-    """Returns a quantity of a unit, in quotes."""
+    """Returns an example of a quantity with this unit, in quotes."""
     return '"1.5"' if unit in ("", "-", "1") else f'"1.5 {unit}"'
 
 
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns the size of a unit in SI and its powers of kg, m, s, A and K; None if it is unknown. All behind a slash divides."""
+    """Returns the size of a unit in SI, and its powers of kg, m, s, A and K; None if the unit is unknown.
+
+    All factors after a slash are divisors.
+    """
     size, powers = Fraction(1), (0, 0, 0, 0, 0)
     text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", TIMES.sub(" ", unit.translate(SIGNS)))  # as in N/(m/s)
     for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
@@ -142,7 +149,7 @@ def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
 
 
 def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns a single unit as `_size` does."""
+    """Returns size and powers of a unit that is not a product, as `_size` does."""
     usual = unit_named(name)
     for powers, sizes in SIZES.items():
         for known in (name, usual):

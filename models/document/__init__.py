@@ -1,1 +1,1 @@
-"""Figures as data, and their drawing: by matplotlib, or as SVG on a page."""
+"""Results as documents, and figures as data. Figures are drawn by matplotlib, or as SVG on a page."""

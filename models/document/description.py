@@ -1,4 +1,4 @@
-"""Descriptions of panels in words: the text alternative of every figure."""
+"""Text descriptions of panels, as the text alternative of every figure."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from models.document.figure import Bars, Classes, Panel, Spans
 
 
 def quantity(label: str) -> tuple[str, str]:
-    """Returns the name and the unit of an axis, from `name [unit]`; either may be empty."""
+    """Returns the name and the unit in an axis label `name [unit]`. Either may be empty."""
     name, _, unit = label.partition("[")
     return name.strip(), unit.removesuffix("]").strip()
 
@@ -31,7 +31,7 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Returns a description of each curve in words: extremes and end of a line, number of points."""
+    """Returns a text description of each curve: extremes and end of a line, or number of points."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     descriptions = []
 
@@ -42,7 +42,7 @@ def _curves(panel: Panel) -> list[str]:
         name, there = curve.name or curve.label, np.isfinite(curve.y) & np.isfinite(curve.x)
         if not name or not there.any():
             continue
-        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # no -0
+        x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # + 0.0 avoids -0
         if curve.dash == "none":
             descriptions.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
         else:

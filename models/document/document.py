@@ -1,7 +1,8 @@
-"""A result as a document: statements, tables and figures under a title. Text, pages, CSV and notebooks are made of it.
+"""A result as a document: statements, tables and figures under a title. Documents become text, pages, CSV and notebook output.
 
-Every study has a function `describe` that returns the document of its result. A command prints it (`models.document.text`), and a
-report is a page of many such documents (`models.document.page`), so that both have the same words and digits.
+Every study has a function `describe` that returns the document of its result. A command prints the document
+(`models.document.text`). A report is a page of many documents (`models.document.page`), so commands and reports have the same
+words and digits.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,10 +15,11 @@ from models.document.field import Detail, Field, T, cells, titles
 if TYPE_CHECKING:
     from models.document.figure import Figure
 
-State = Literal["note", "holds", "ends", "fails"]  # of a claim: none is made; it holds; it ends somewhere; it is wrong
+# State of a claim: there is no claim, it holds, it holds only up to some point, or it is wrong
+State = Literal["note", "holds", "ends", "fails"]
 STATES: tuple[State, ...] = ("note", "holds", "ends", "fails")
 LEVELS: tuple[Detail, ...] = ("brief", "normal", "full")
-NOTE = "note"  # heading of a last column of remarks: the terminal prints a remark below its row if it is too long
+NOTE = "note"  # heading of a last column with remarks; on a terminal, a remark that is too long follows below its row
 
 
 @dataclass(frozen=True)
@@ -25,9 +27,9 @@ class Statement:
     """A sentence of a result.
 
     Attributes:
-        text: the sentence; names of controllers in backticks.
-        state: claim about the result; "note" for none.
-        detail: lowest level of detail at which it is shown.
+        text: the sentence, with names of controllers in backticks.
+        state: state of the claim that the sentence makes; "note" for a sentence without a claim.
+        detail: lowest level of detail at which the sentence is shown.
     """
 
     text: str
@@ -37,10 +39,12 @@ class Statement:
 
 @dataclass(frozen=True)
 class Pivot:
-    """A short form of a long table: one row for each of some columns' values, one column for each value of another.
+    """A short form of a long table. It has a row for each combination of values in some columns.
+
+    The values of another column become columns.
 
     Attributes:
-        rows: headings of the columns that name a row; a column `unit` follows the name before it, in brackets.
+        rows: headings of the columns whose values name a row. The cell of a column `unit` is added to the name in brackets.
         across: heading of the column whose values become columns.
         values: headings of the numbers that are shown.
     """
@@ -58,12 +62,12 @@ class Table:
         name: name of its CSV file, without suffix.
         caption: description of the table's content.
         headings: headings of the columns.
-        rows: cells as text; the first is the row's name.
-        words: number of left-aligned columns of text; the other columns are numbers, right-aligned, except a last one `NOTE`.
-        pivot: short form for a page, or None to show all columns that differ.
-        detail: lowest level of detail at which it is shown.
-        wide: headings of columns that a terminal has no room for.
-        keys: keys of the columns in JSON; empty if those are the headings.
+        rows: cells as text. The first cell of a row is its name.
+        words: number of left-aligned text columns. Other columns are right-aligned numbers, except a last column `NOTE`.
+        pivot: short form for a page; None to show all columns whose cells differ.
+        detail: lowest level of detail at which the table is shown.
+        wide: headings of columns for which a terminal has no room.
+        keys: keys of the columns in JSON; empty if the keys are the headings.
     """
 
     name: str
@@ -91,7 +95,7 @@ class Table:
         pivot: Pivot | None = None,
         detail: Detail = "normal",
     ) -> "Table":
-        """Returns the table of some results, a row each. Fields of detail "full" are columns of pages and files only."""
+        """Returns a table with a row for each result. Fields of detail "full" are columns only in pages and files."""
         wide = tuple(field.title for field in fields if field.detail == "full")
         renamed = any(field.column for field in fields)
         keys = tuple(field.column or field.title for field in fields) if renamed else ()
@@ -99,7 +103,7 @@ class Table:
 
     @property
     def records(self) -> list[dict[str, str]]:
-        """Returns the rows for JSON, their cells by key."""
+        """The rows for JSON, with their cells by key."""
         return [dict(zip(self.keys or self.headings, row, strict=True)) for row in self.rows]
 
 
@@ -108,12 +112,12 @@ Block: TypeAlias = "Statement | Table | Figure | Document"
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A result, or a part of one.
+    """A result, or a part of a result.
 
     Attributes:
-        title: the field's term for it.
+        title: title, a term of the field.
         blocks: statements, tables, figures and documents, in the order of reading.
-        detail: lowest level of detail at which it is shown.
+        detail: lowest level of detail at which the document is shown.
     """
 
     title: str
@@ -121,7 +125,7 @@ class Document:
     detail: Detail = "normal"
 
     def all(self) -> Iterator[Block]:
-        """Yields every block, also those of the documents in it, which come before their blocks."""
+        """Yields every block, including the blocks of inner documents. An inner document comes before its blocks."""
         for block in self.blocks:
             yield block
             if isinstance(block, Document):
@@ -129,46 +133,46 @@ class Document:
 
     @property
     def statements(self) -> tuple[Statement, ...]:
-        """Returns all statements."""
+        """All statements, including those of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Statement))
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """Returns all tables."""
+        """All tables, including those of inner documents."""
         return tuple(block for block in self.all() if isinstance(block, Table))
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """Returns all figures."""
+        """All figures, including those of inner documents."""
         return tuple(block for block in self.all() if not isinstance(block, Statement | Table | Document))
 
     @property
     def state(self) -> State:
-        """Returns the worst state of all statements."""
+        """The worst state of all statements."""
         return worst(self.statements)
 
 
 def worst(statements: Iterable[Statement]) -> State:
-    """Returns the worst state of some statements."""
+    """Returns the worst state of the given statements."""
     return STATES[max((STATES.index(one.state) for one in statements), default=0)]
 
 
 def notes(*texts: str, detail: Detail = "normal") -> tuple[Statement, ...]:
-    """Returns texts as statements that claim nothing."""
+    """Returns texts as statements that make no claim."""
     return tuple(Statement(text, detail=detail) for text in texts)
 
 
 def statements(said: Iterable[tuple[str, str]], detail: Detail = "normal") -> list[Statement]:
-    """Returns statements on controllers from pairs of name and text; controllers with the same text share a statement."""
+    """Returns statements about controllers from pairs of name and text. Controllers with equal texts share a statement."""
     return [Statement(f"{names}: {text}", detail=detail) for text, names in by_text(said).items()]
 
 
 def is_shown(block: Block, detail: Detail) -> bool:
-    """Returns True if a block is shown at this level of detail."""
+    """Returns True if a block is shown at a given level of detail."""
     figure = not isinstance(block, Statement | Table | Document)
     return figure or LEVELS.index(block.detail) <= LEVELS.index(detail)
 
 
 def apart(*blocks: "Statement | Table | Document") -> tuple[Document, ...]:
-    """Returns each block as a document, so that it follows an empty line on a terminal."""
+    """Returns each block as a document, so that an empty line precedes it on a terminal."""
     return tuple(Document("", (block,), block.detail) for block in blocks)

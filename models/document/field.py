@@ -1,6 +1,6 @@
-"""A quantity of a result: what it is called, its unit and digits, and its key in JSON. All outputs read it here.
+"""A quantity of a result: its name, unit, digits, and key in JSON. All outputs use this definition.
 
-The quantities are the columns of a table, and the values of a `Record`.
+Quantities are the columns of a table, and the values of a `Record`.
 """
 
 import math
@@ -13,7 +13,8 @@ from models.common.printed import cell, finite
 
 T = TypeVar("T")
 Of = TypeVar("Of", contravariant=True)
-Detail = Literal["brief", "normal", "full"]  # shown even if the answer is to be brief; by default; only with -v, folded on a page
+# Shown even in brief output; shown by default; shown only with -v, and folded on a page
+Detail = Literal["brief", "normal", "full"]
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,13 @@ class Field(Generic[Of]):
 
     Attributes:
         label: name of the quantity.
-        value: function of a result: a text, or a number in SI units.
+        value: function of a result that returns a text, or a number in SI units.
         form: format of a number, or a function that formats it.
         scale: factor from SI units to `unit`.
-        key: key in JSON, for the value in SI units; empty to omit the quantity there.
-        unit: unit in which it is written; empty if it has none, or if `form` writes it.
-        detail: lowest level of detail at which it is a column of a table.
-        column: key of its column in the tables of a report in JSON; empty if that is the heading.
+        key: key in JSON, for the value in SI units; empty to omit the quantity in JSON.
+        unit: unit in which the quantity is written; empty for a quantity without a unit, or if `form` writes the unit.
+        detail: lowest level of detail at which the quantity is a column of a table.
+        column: key of the column in a report's JSON tables; empty if the key is the heading.
     """
 
     label: str
@@ -42,26 +43,31 @@ class Field(Generic[Of]):
 
     @property
     def title(self) -> str:
-        """Returns the heading of its column."""
+        """Heading of the quantity's column."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
     def cell(self, one: Of) -> str:
-        """Returns the text in a table; "-" for an absent number, or an infinite one if `form` is a format."""
+        """Returns the cell of a table; "-" for a missing number, and for an infinite number if `form` is a format."""
         return self.digits(self.value(one))
 
     def digits(self, value: Any) -> str:
-        """Returns a value of this quantity, in SI units, as `cell` does, without its unit."""
+        """Returns a value in SI units as text without its unit, in the form of `cell`."""
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
         value = self.scale * value
         return cell(value, self.form) if isinstance(self.form, str) else self.form(value)
 
     def text(self, value: Any) -> str:
-        """Returns a value of this quantity, in SI units, for a sentence: with its unit."""
+        """Returns a value in SI units as text for a sentence, with its unit."""
         return f"{self.digits(value)} {self.unit}".rstrip()
 
     def of(self, get: Callable[[T], Of | None], label: str = "") -> "Field[T]":
-        """Returns the field of objects from which `get` returns the result, or None for none; with a label if one is given."""
+        """Returns the field for objects that contain such a result.
+
+        Args:
+            get: function that returns the result in an object, or None for an object without a result.
+            label: label of the new field; by default, the label of this field.
+        """
 
         def value(one: T) -> Any:
             result = get(one)
@@ -76,7 +82,7 @@ def titles(fields: Iterable[Field[Any]]) -> tuple[str, ...]:
 
 
 def cells(fields: Sequence[Field[T]], ones: Iterable[T]) -> tuple[tuple[str, ...], ...]:
-    """Returns the rows of a table, one per result."""
+    """Returns the rows of a table, one row per result."""
     return tuple(tuple(field.cell(one) for field in fields) for one in ones)
 
 
@@ -89,19 +95,19 @@ def _value(get: "Field[T] | Value[T]", one: T) -> Any:
 
 
 class Record(Generic[T]):
-    """JSON object of a result: values by their keys. A record is a function of the result, so that it can be a value of another.
+    """JSON object of a result: values by key. A record is a function of the result, so it can be a value of another record.
 
-    None stands for an infinite or absent number, [real, imaginary] for a complex
-    one, a list for an array, and an object for a dataclass.
+    None represents an infinite or missing number, and [real, imaginary] a complex number. An array becomes a list, and a
+    dataclass becomes an object.
     """
 
     def __init__(self, *parts: "Field[T] | Part[T]", **values: "Field[Any] | Value[Any]") -> None:
         """Prepares the object.
 
         Args:
-            parts: fields, without those that lack a key; names of attributes, which are also keys; and records or functions,
-                whose keys become keys of this object.
-            values: further values, after these: fields, functions, or attributes by their names, as in "certificate.norm".
+            parts: fields, names of attributes, records and functions. Fields without a key are omitted. The name of an
+                attribute is also its key. The keys of records and functions become keys of this object.
+            values: further values, after these parts: fields, functions, or names of attributes, such as "certificate.norm".
         """
         keyed = [
             {part.key: part} if isinstance(part, Field) else {part: part} if isinstance(part, str) else part for part in parts
@@ -109,14 +115,18 @@ class Record(Generic[T]):
         self._parts: list[Callable[[T], Mapping[str, Any]] | Mapping[str, Any]] = [*keyed, values]
 
     def __call__(self, one: T) -> dict[str, Any]:
-        """Returns the object of a result, without the keys whose value is `OMITTED_KEY`."""
+        """Returns the object of a result, without keys whose value is `OMITTED_KEY`."""
         found: dict[str, Any] = {}
         for part in self._parts:
             found |= dict(part(one)) if callable(part) else {key: _value(get, one) for key, get in part.items() if key}
         return {key: plain(value) for key, value in found.items() if value is not OMITTED_KEY}
 
     def all(self, get: "Value[Any]") -> Callable[[Any], Any]:
-        """Returns a value of another record: the object of a result there, or all objects in its list, tuple or mapping."""
+        """Returns a value for another record that contains objects of this record.
+
+        Args:
+            get: field, function or attribute that gives one result, or a list, tuple or mapping of results.
+        """
 
         def each(results: Any) -> Any:
             if results is None or results is OMITTED_KEY:
@@ -132,7 +142,7 @@ OMITTED_KEY: Any = object()
 
 
 def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
-    """Returns a value of a record that omits its key if the value is None or empty."""
+    """Returns a value for a record that omits its key if the value is None or empty."""
 
     def value(one: T) -> Any:
         found = get(one)
@@ -142,7 +152,7 @@ def if_any(get: Callable[[T], Any]) -> Callable[[T], Any]:
 
 
 def plain(value: Any) -> Any:
-    """Returns a value for JSON, see `Record`."""
+    """Returns a value in the form of JSON; see `Record`."""
     if isinstance(value, float):
         return finite(value)
     if isinstance(value, complex):
@@ -153,12 +163,12 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
-    values = getattr(value, "tolist", None)  # of an array, or of a number of NumPy
+    values = getattr(value, "tolist", None)  # arrays and NumPy numbers have this method
     return value if values is None else plain(values())
 
 
 def at_most(value: float) -> str:
-    """Returns a number with two digits, rounded up, for a sentence that says that something is within it."""
+    """Returns a number rounded up to two digits, for a sentence that gives an upper limit."""
     if value <= 0:
         return "0"
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)

@@ -9,16 +9,17 @@ import numpy as np
 from models.common.arrays import Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
-Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]  # hollow circle, square, triangles, diamond, pentagon; crosses
+# Hollow circle, square, triangle, diamond, triangle, pentagon; crosses
+Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]
 
 
 class Style(NamedTuple):
-    """Look of a controller: no two differ by colour alone.
+    """Line style of a controller. Two styles never differ only in colour.
 
     Attributes:
         color: colour as `#rrggbb`.
-        dash: dash of its lines.
-        marker: marker of its points.
+        dash: dash pattern of lines.
+        marker: marker of points.
     """
 
     color: str
@@ -26,8 +27,8 @@ class Style(NamedTuple):
     marker: Marker
 
 
-# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can tell apart. The light ones are
-# darkened to a contrast of 3 on white. Dashes are the paper's.
+# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can distinguish. The light colours are
+# darker here, for a contrast of 3 on white. Dash patterns are those of the paper.
 BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, GREY = "#c471a0", "#bd8200", "#3d97cc", "#6e6e6e"
 STYLES: dict[str, Style] = {
@@ -37,15 +38,15 @@ STYLES: dict[str, Style] = {
     "II": Style(GREEN, "solid", "D"),
 }
 OTHERS = (PURPLE, ORANGE, SKY, GREY, BLUE, VERMILLION, GREEN)
-DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # the next one when all colours are used
+DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # the next pattern is used when all colours are used
 POINTS: tuple[Marker, ...] = ("v", "p", "D", "s", "^", "o")
 
 
 def styles(names: tuple[str, ...]) -> dict[str, Style]:
-    """Returns colour, line style and marker of every controller: those of the paper, or the next ones that are unused.
+    """Returns colour, line style and marker of every controller: those of the paper, or the next unused ones.
 
     Args:
-        names: all controllers, in order, so that a controller's style is the same in every figure.
+        names: names of all controllers, in order, so that a controller has the same style in every figure.
     """
     rest = [name for name in names if name not in STYLES]
     taken = {(style.color, style.dash) for style in STYLES.values()}
@@ -63,17 +64,18 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line, points, or both. Without points it is a legend entry only.
+    """A line, points, or both. Without points, it is only an entry of the legend.
 
     Attributes:
-        x, y: shape (N,); NaN interrupts the line.
-        label: name in the legend, where equal labels have one entry; empty for no entry.
-        name: name in the text alternative. Default: the label.
+        x: horizontal values, shape (N,).
+        y: vertical values, shape (N,). NaN interrupts the line.
+        label: name in the legend; equal labels share an entry. Empty for no entry.
+        name: name in the text alternative; by default, the label.
         color: colour as `#rrggbb`.
-        dash: dash of the line.
-        marker: marker of every point; empty for none.
+        dash: dash pattern of the line.
+        marker: marker of every point; empty for points without a marker.
         width: width of the line [points].
-        filled: True for full markers instead of hollow ones.
+        filled: True for filled markers instead of hollow ones.
     """
 
     x: Array
@@ -89,13 +91,14 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """A grid of cells, each of one class.
+    """A grid of cells, each of which belongs to a class.
 
     Attributes:
-        x, y: centres, shapes (N,) and (M,), equidistant.
-        kind: index into `colors`, shape (M, N).
+        x: horizontal centres of the cells, equidistant, shape (N,).
+        y: vertical centres of the cells, equidistant, shape (M,).
+        kind: index of each cell's class, shape (M, N).
         colors: colours of the classes.
-        names: names of the classes; those that occur are in the legend.
+        names: names of the classes; the legend contains those that occur.
     """
 
     x: Array
@@ -112,7 +115,7 @@ class Classes:
 
     @property
     def labels(self) -> list[tuple[str, int, int]]:
-        """Short name, row and column of the innermost cell of every class that has room for words."""
+        """Name, row and column of the innermost cell, for every class that has room for its name."""
         entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
@@ -125,17 +128,17 @@ class Classes:
         return entries
 
 
-ROOM = 0.04  # margin at both ends of an axis, as a share of its range
-WIDE = 8  # a class has room for words if it is as deep as this part of a map
+ROOM = 0.04  # margin at both ends of an axis, relative to its range
+WIDE = 8  # a class has room for its name if its depth is at least this fraction of the map's width
 
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Horizontal bars from zero, the first on top.
+    """Horizontal bars from zero, the first bar on top.
 
     Attributes:
         names: names of the bars.
-        values: nonnegative lengths of the bars, shape (N,); NaN for no bar.
+        values: lengths of the bars, not negative, shape (N,); NaN for no bar.
         words: text at the end of each bar.
         colors: colours of the bars.
     """
@@ -151,7 +154,7 @@ class Spans:
     """Shaded intervals of the horizontal axis.
 
     Attributes:
-        ends: start and end of each; an infinite end is the border.
+        ends: start and end of each interval; an infinite end is the border of the panel.
         names: name of each interval.
         color: colour of all intervals.
     """
@@ -163,17 +166,20 @@ class Spans:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Pair of axes.
+    """Pair of axes with curves.
 
     Attributes:
         title: title above the axes; may have two lines.
-        xlabel, ylabel: labels with units; a panel of bars has no ylabel.
+        xlabel: label of the horizontal axis with its unit.
+        ylabel: label of the vertical axis with its unit; empty for a panel of bars.
         curves: curves in the order of drawing.
         ground: layer below the curves.
-        xlog, ylog: True for a logarithmic axis.
-        xticks: ticks of the horizontal axis; empty for automatic ones.
-        xnames: labels of the ticks instead of numbers.
-        xlim, ylim: shown range; None for all.
+        xlog: True for a logarithmic horizontal axis.
+        ylog: True for a logarithmic vertical axis.
+        xticks: ticks of the horizontal axis; empty for automatic ticks.
+        xnames: labels of the ticks, instead of numbers.
+        xlim: shown range of the horizontal axis; None for the range of the data.
+        ylim: shown range of the vertical axis; None for the range of the data.
     """
 
     title: str
@@ -194,11 +200,11 @@ class Figure:
     """Panels that belong together.
 
     Attributes:
-        name: name of its file, without suffix.
-        title: caption that explains how to read it.
+        name: name of the figure's file, without suffix.
+        title: caption that explains how to read the figure.
         panels: panels in rows.
         columns: number of columns of panels.
-        finding: result in one sentence, or empty.
+        finding: result in one sentence; may be empty.
     """
 
     name: str
@@ -212,11 +218,12 @@ class Entry(NamedTuple):
     """Entry of a legend: a line, a marker, both, or a patch of colour.
 
     Attributes:
-        label: text.
+        label: text of the entry.
         color: colour as `#rrggbb`.
-        dash, width: style of the line; no line with `none`.
-        marker: marker of the points, or empty.
-        filled: True for full markers.
+        dash: dash pattern of the line; "none" for no line.
+        width: width of the line [points].
+        marker: marker of the points; may be empty.
+        filled: True for filled markers.
         ground: True for an area of a map.
     """
 
@@ -230,7 +237,10 @@ class Entry(NamedTuple):
 
 
 def legend(figure: Figure) -> list[Entry]:
-    """Returns one legend entry per label, classes of a panel before its curves; line and points of one label are together."""
+    """Returns one legend entry per label.
+
+    The classes of a panel precede its curves; line and points of one label share an entry.
+    """
     entries: dict[str, Entry] = {}
     for panel in figure.panels:
         if isinstance(panel.ground, Classes):
@@ -246,26 +256,26 @@ def legend(figure: Figure) -> list[Entry]:
 
 
 def axis_ends(values: Sequence[Array]) -> tuple[float, float]:
-    """Returns the ends of an axis that contains all numbers, with a margin."""
+    """Returns the ends of an axis that contains all values, with a margin."""
     joined = np.concatenate([*values, np.zeros(0)])
     joined = joined[np.isfinite(joined)]
     if not len(joined):
         return 0.0, 1.0
     low, high = float(joined.min()), float(joined.max())
     room = ROOM * (high - low)
-    if room <= 1e-9 * max(abs(low), abs(high)):  # one number, or its rounding
+    if room <= 1e-9 * max(abs(low), abs(high)):  # only one value, or values that differ by rounding errors
         room = 0.1 * max(abs(low), abs(high)) or 1.0
     return low - room, high + room
 
 
 def drawn_indices(y: Array, every: int) -> Array:
-    """Returns the indices of the points of a line to draw: of every 2 `every` points the largest and the smallest, and both ends.
+    """Returns the indices of the points of a line that are drawn, so that no peak is lost, however short it is.
 
-    So no peak is cut, however short it is.
+    From every 2 `every` points, the largest and the smallest are drawn; both ends of the line are drawn, too.
 
     Args:
-        y: shape (N,), N at least 1.
-        every: step of the thinning, at least 1; with 1 all points are drawn.
+        y: values of the line, shape (N,), N at least 1.
+        every: step of the thinning, at least 1; with 1, all points are drawn.
     """
     if every == 1:
         return np.arange(len(y))

@@ -1,4 +1,4 @@
-"""The figure of a gain over frequency, as notebooks show it below a loop."""
+"""Figure of a gain over frequency, which notebooks show below a loop."""
 
 from collections.abc import Mapping
 
@@ -7,19 +7,22 @@ import numpy as np
 from models.common.arrays import Array
 from models.document.figure import BLUE, GREY, Curve, Dash, Figure, Panel
 
-POINTS = 400  # of a curve over frequency
+POINTS = 400  # number of points over frequency
 
 
 def gain_figure(
     title: str, A: Array, B: Array, C: Array, D: Array, dt: float | None = None, levels: Mapping[str, float | None] | None = None
 ) -> Figure:
-    """Returns the figure of a system's largest singular value over frequency, around its poles.
+    """Returns the figure of a system's largest singular value over frequency, in the range of its poles.
 
     Args:
         title: description of the system.
-        A, B, C, D: the system, shapes (n, n), (n, r), (p, n), (p, r).
+        A: state matrix, shape (n, n).
+        B: input matrix, shape (n, r).
+        C: output matrix, shape (p, n).
+        D: feedthrough matrix, shape (p, r).
         dt: sample period [s]; None for a continuous system.
-        levels: horizontal lines by name, at most two; a line without a level is left out.
+        levels: levels of at most two horizontal lines, by name; a line with the level None is omitted.
     """
     poles = np.linalg.eigvals(A).astype(complex)
     speeds = np.abs(poles if dt is None else np.log(np.where(poles == 0, 1, poles)) / dt)

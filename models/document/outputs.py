@@ -1,4 +1,4 @@
-"""Output files and folders of a command: checked before the work, and listed at the end."""
+"""Output files and folders of a command. They are checked before the work begins, and listed at the end."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,8 +8,8 @@ from models.common.extensions import FEATURES
 from models.common.files import STDOUT, check_file, check_folder, identity
 from models.common.printed import Whole
 
-SUFFIXES = (".png", ".svg", ".pdf")  # of pictures
-OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from the output's
+SUFFIXES = (".png", ".svg", ".pdf")  # suffixes of pictures
+OPTIONS = {"report": "out", "vehicle": "out"}  # options whose name differs from that of the output
 FOLDERS = ("logs", "figures", "certificates")
 ENDINGS = {  # allowed suffixes, and the reason
     "picture": (SUFFIXES, "this kind of picture cannot be written"),
@@ -21,22 +21,22 @@ ENDINGS = {  # allowed suffixes, and the reason
 CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
 CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
 IDENTIFIED = "# 95 % intervals [SI] of roadproof identify"
-SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM, IDENTIFIED)  # comments of which every saved vehicle file has one
-TEXTS = ("csv", "save")  # these may be printed
+SAVED_COMMENTS = (CHECKED_BY, CAMPAIGN_SUM, IDENTIFIED)  # every saved vehicle file contains one of these comments
+TEXTS = ("csv", "save")  # outputs that may go to standard output
 OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Checks that all outputs can be written, and to different files. Leaves nothing behind.
+    """Checks that all outputs can be written, to different files. Leaves nothing behind.
 
     Args:
-        outputs: paths of csv, picture, report, save, vehicle, logs or figures; None if not requested.
-        read: input files, by any of their names.
-        json: True if standard output is for one JSON object.
+        outputs: paths of csv, picture, report, save, vehicle, logs or figures; None for outputs that are not requested.
+        read: input files, under any of their names.
+        json: True if standard output is reserved for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has a suffix of another format, or is the same file as another one or an input;
-            or a vehicle file would replace one that no command saved.
+        InputError: an output cannot be written, or has the suffix of another format. Also if two outputs
+            are the same file, or an output and an input, or if a vehicle file would replace a file that no command has saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
@@ -64,20 +64,20 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         if what == "picture":
             FEATURES.load("pictures").check_drawing()
         elif what == "figures" and path.is_dir():
-            for file in path.iterdir():  # the figures' names are known only when they are drawn
+            for file in path.iterdir():  # the names of the figures are known only when they are drawn
                 if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:
                     raise InputError(f"--figures {path} contains the input file {file.name}; give another folder")
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Refuses a suffix that does not match the output. The suffix of a link counts, not that of its target."""
+    """Refuses a suffix that does not match the output. For a link, its own suffix counts, not that of its target."""
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
         raise InputError(f"{what} {path}: {why}; give a name that ends in {' or '.join(endings)}")
 
 
 def _is_own(path: Path) -> bool:
-    """Returns True if saving a vehicle file loses nothing: there is no file, an empty one, or a saved one."""
+    """Returns True if saving a vehicle file loses no data: the file does not exist, is empty, or was saved by a command."""
     if not path.is_file() or not path.stat().st_size:
         return True
     with path.open("rb") as lines:

@@ -1,6 +1,6 @@
-"""Sections, tables and figures as one HTML file, which needs no network.
+"""Pages: documents as one HTML file that needs no network.
 
-Figures are inline SVG, and there is no script. Jinja2 fills `page.html.jinja`.
+Figures are inline SVG, and there is no script. Jinja2 fills the template `page.html.jinja`.
 """
 
 import base64
@@ -28,8 +28,8 @@ STYLE = """<style>
 .roadproof .legend {list-style: none; padding: 0}
 .roadproof .legend .plot {width: 34px; height: 14px; vertical-align: middle; margin-right: 6px}
 </style>"""
-IN_NOTEBOOK = "\1"  # in front of the identifiers of a fragment
-BRIEF = 2  # statements before the first figure or table that are shown; others that claim nothing are folded
+IN_NOTEBOOK = "\1"  # placeholder in front of the identifiers of a fragment
+BRIEF = 2  # number of statements shown before the first figure or table; further statements without a claim are folded
 
 
 VERDICTS: dict[State, str] = {
@@ -37,20 +37,20 @@ VERDICTS: dict[State, str] = {
     "ends": "no check fails, but not every claim holds throughout",
     "fails": "something FAILS",
 }
-MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # so that a state is not told by its colour alone
+MARKS: dict[State, str] = {"holds": "✓", "ends": "!", "fails": "✗"}  # with these marks, colour is not the only sign of a state
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Whole report.
+    """Report on one page.
 
     Attributes:
         title: title of the page.
         summary: the first part: figures and tables, without a title.
-        sections: the others, in order.
-        headline: the answer in a line.
-        verdicts: the verdict by state, in words.
-        sketch: sketch of the vehicle at the top, or None.
+        sections: the other parts, in order.
+        headline: the answer in one line.
+        verdicts: text of the verdict for each state.
+        sketch: sketch of the vehicle at the top; None for a page without a sketch.
     """
 
     title: str
@@ -62,32 +62,32 @@ class Page:
 
     @property
     def whole(self) -> Document:
-        """Returns the summary and all sections as one document."""
+        """The summary and all sections as one document."""
         return Document(self.title, (self.summary, *self.sections))
 
     @property
     def answer(self) -> list[Statement]:
-        """Returns the statements that claim something about the result."""
+        """The statements that make a claim about the result."""
         return [one for one in self.whole.statements if one.state != "note"]
 
     @property
     def state(self) -> State:
-        """Returns the verdict on physics against analysis: whether all holds, something ends early, or something fails."""
+        """The verdict on simulation against analysis: all claims hold, some end early, or some fail."""
         return worst([*self.answer, Statement("", "holds")])
 
     @property
     def verdict(self) -> str:
-        """Returns the state in words."""
+        """The verdict as text."""
         return self.verdicts[self.state]
 
     @property
     def warnings(self) -> list[str]:
-        """Returns the statements that do not hold throughout."""
+        """The statements that do not hold throughout."""
         return [one.text for one in self.answer if one.state in ("ends", "fails")]
 
 
 def check_page() -> None:
-    """Checks that pages can be made; raises an InputError if a package is missing."""
+    """Checks that pages can be created. Raises an InputError if a package is missing."""
     try:
         import jinja2  # noqa: F401
     except ImportError as error:
@@ -99,7 +99,8 @@ def render(page: Page) -> str:
     """Returns the page as one HTML document."""
     names = [one.name for one in page.whole.figures]
     if repeated := [name for name, count in Counter(names).items() if count > 1]:
-        raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")  # one would show the other's panels
+        # The second figure would show the panels of the first
+        raise ValueError(f"figures of a page have the same name: {', '.join(repeated)}")
     counts = Counter[str]()
 
     def number(kind: str) -> str:
@@ -121,7 +122,10 @@ def render(page: Page) -> str:
 
 
 def fragment(document: Document) -> str:
-    """Returns the blocks of a document as HTML for a notebook. Identifiers begin with a digest, as one notebook has many."""
+    """Returns the blocks of a document as HTML for a notebook.
+
+    A notebook contains many fragments, so all identifiers begin with a checksum of the fragment.
+    """
 
     def named(block: Block) -> Block:
         if isinstance(block, Document):
@@ -152,14 +156,14 @@ def _environment(number: Callable[[str], str]) -> Any:
 
 
 def _escaped_value(value: Any) -> Any:
-    """Returns a value as the page shows it: text escaped, markup unchanged."""
+    """Returns a value in the form in which the page shows it: text is escaped, markup is unchanged."""
     from markupsafe import Markup
 
     return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _kind(block: Block) -> str:
-    """Returns the name of a block's class, in small letters."""
+    """Returns the name of a block's class in lower case."""
     return type(block).__name__.lower()
 
 
@@ -173,7 +177,7 @@ def _split_statements(section: Document) -> tuple[list[Statement], list[Statemen
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Writes the page whole, or not at all.
+    """Writes the page as one complete file.
 
     Raises:
         InputError: the page cannot be written.
@@ -192,7 +196,7 @@ def _digest(text: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: bars are narrow, one column is wide, others form a grid."""
+    """Returns the CSS class of a figure: bars are narrow, figures with one column are wide, other figures form a grid."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
     return "wide" if figure.columns == 1 else ""

@@ -1,6 +1,6 @@
-"""Figures drawn by matplotlib without a display: as files, and as SVG inside pages and notebooks.
+"""Figures drawn by matplotlib without a display: as files, and as SVG in pages and notebooks.
 
-Lengths are in px. A px is 1/72 inch, so a font size in px is one in points.
+Lengths are in px. One px is 1/72 inch, so a font size in px equals the font size in points.
 """
 
 import os
@@ -24,12 +24,12 @@ from models.document.figure import Bars, Classes, Curve, Entry, Figure, Panel, S
 from models.document.reading import cut, drawn_text, notation, quoted_code, text_width, wrap_at_spaces
 
 FONT, LINE, DPI = 13, 19, 130  # font size, height of a line, and resolution of files
-SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel, of the only one of a file, and width of a panel of bars
-EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and a panel
-ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above, and of the bar; width of a line in a legend
-BOLD = 1.12  # width of bold letters over that of others
+SIZE, WIDE, BARS = (400, 250), (600, 360), 260  # of a panel; of the only panel in a file; width of a panel with bars
+EDGE, TOP, BOTTOM, RIGHT = 10, 24, 44, 22  # margins of a picture and of a panel
+ROW, BAR, KEY = 42, 12, 34  # height of a bar with its name above; height of the bar; width of a line in a legend
+BOLD = 1.12  # width of bold letters relative to normal letters
 LONGEST = 24  # letters of a name in a legend
-FAR = 1e6  # end of a span with an infinite end
+FAR = 1e6  # replaces the infinite end of a span
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -63,9 +63,9 @@ def check_drawing() -> None:
 
 
 def _matplotlib() -> Any:
-    """Returns matplotlib. It cannot be imported if MPLBACKEND names a backend that is missing here, as of another environment.
+    """Returns matplotlib, even if the environment variable MPLBACKEND refers to a backend that is not installed.
 
-    Figures need no backend. A valid one is set for the windows of the caller's own figures, as the import does.
+    Figures of this module need no backend. A valid backend is still set for the windows of the caller's own figures.
     """
     backend = "" if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", "")
     try:
@@ -82,13 +82,13 @@ def _matplotlib() -> Any:
 def _settings() -> Iterator[None]:
     matplotlib = _matplotlib()
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings(), np.errstate(all="ignore"):
-        # Letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
+        # Ignores warnings: letters that the font lacks are drawn as boxes, and an axis without numbers stays empty.
         warnings.simplefilter("ignore", UserWarning)
         yield
 
 
 class _Sheet:
-    """A matplotlib figure with places in px from its upper left corner."""
+    """A matplotlib figure with positions in px, measured from its upper left corner."""
 
     def __init__(self, width: float, height: float) -> None:
         from matplotlib.figure import Figure as Canvas
@@ -97,21 +97,21 @@ class _Sheet:
         self.canvas = Canvas(figsize=(width / 72, height / 72), dpi=72)
 
     def box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        """Returns a rectangle as shares of the figure, from its lower left corner."""
+        """Returns a rectangle in shares of the figure, measured from the lower left corner of the figure."""
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 
     def write(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Writes a line of text on the baseline y."""
+        """Writes a line of text with its baseline at y."""
         if text:
             self.canvas.text(x / self.width, 1 - y / self.height, quoted_code(text), va="baseline", **style)
 
     def write_lines(self, x: float, y: float, lines: Sequence[tuple[str, str]]) -> None:
-        """Writes lines of text with their weights, the first on the baseline y."""
+        """Writes lines of text with their weights. The baseline of the first line is at y."""
         for k, (line, weight) in enumerate(lines):
             self.write(x, y + LINE * k, line, weight=weight)
 
     def lines(self, lines: Sequence[Sequence[tuple[float, float]]], opacity: float) -> None:
-        """Draws lines below everything else."""
+        """Draws lines behind everything else."""
         from matplotlib.collections import LineCollection
 
         places = [np.array([0, 1]) + np.array([1, -1]) * np.array(line) / (self.width, self.height) for line in lines]
@@ -120,7 +120,7 @@ class _Sheet:
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
-    """Writes a figure to every path, each whole or not at all. Equal figures give equal bytes.
+    """Writes a figure to every path, each as a complete file. Equal figures give equal bytes.
 
     Raises:
         InputError: the picture cannot be written.
@@ -138,7 +138,14 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the contour z = `height`, z of shape (M, N), over the grid y, x, as x and y of a curve, NaN between its pieces."""
+    """Returns the contour z = `height` as x and y of a curve, with NaN between its parts.
+
+    Args:
+        x: horizontal grid, shape (N,).
+        y: vertical grid, shape (M,).
+        z: values on the grid, shape (M, N).
+        height: level of the contour.
+    """
     with _settings():
         pieces = _Sheet(1, 1).canvas.add_subplot().contour(x, y, np.ma.masked_invalid(z), [height]).allsegs[0]
     gap = np.full((1, 2), np.nan)
@@ -147,7 +154,7 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
 
 
 def panel_size(panel: Panel, size: tuple[int, int] = SIZE) -> tuple[int, int]:
-    """Returns width and height of a panel [px]."""
+    """Returns the width and the height of a panel [px]."""
     return (BARS, 30 + ROW * len(panel.ground.names)) if isinstance(panel.ground, Bars) else size
 
 
@@ -180,13 +187,13 @@ def _whole(figure: Figure) -> _Sheet:
 
 
 def _paragraphs(first: str, *others: str, room: float) -> list[tuple[str, str]]:
-    """Returns the lines of paragraphs with their weights: the first is bold."""
+    """Returns the lines of paragraphs with their weights. The first paragraph is bold."""
     bold = [(line, "bold") for line in wrap_at_spaces(notation(first), room / BOLD, FONT)]
     return bold + [(line, "normal") for text in others for line in wrap_at_spaces(notation(text), room, FONT)]
 
 
 def _key(entry: Entry, x: Array, height: float) -> Any:
-    """Returns the line through three points, the marker or the patch of a legend's entry."""
+    """Returns the artist for an entry of the legend: a line through three points, a marker or a patch."""
     from matplotlib.lines import Line2D
 
     y = np.full(3, height)
@@ -197,12 +204,12 @@ def _key(entry: Entry, x: Array, height: float) -> Any:
 
 
 def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
-    """Returns colour and marker as keywords of matplotlib."""
+    """Returns colour and marker as keyword arguments of matplotlib."""
     return {"color": color, "marker": marker, "markerfacecolor": None if filled or marker in ("x", "+") else "white"}
 
 
 def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int, int]) -> None:
-    """Draws a panel with its upper left corner at a place."""
+    """Draws a panel. Its upper left corner is at (left, top)."""
     if isinstance(panel.ground, Bars):
         _draw_bars(sheet, panel.ground, panel.xlabel, left, top)
         return
@@ -217,7 +224,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
     width, height = size[0] - inner - RIGHT, size[1] - TOP - BOTTOM
     left, bottom = left + inner, top + TOP + height
     axis.set_position(sheet.box(left, top + TOP, width, height))
-    axis.set_axis_off()  # with ticks of matplotlib's, a panel takes twice as long
+    axis.set_axis_off()  # with the ticks of matplotlib, a panel would take twice as long
     sheet.lines([[(left, top + TOP), (left, bottom), (left + width, bottom), (left + width, top + TOP), (left, top + TOP)]], 0.35)
     grid, lines = panel.ground is None, []
     for share, name in zip(_places(axis, down, 1), names, strict=True):
@@ -237,7 +244,7 @@ def _draw(sheet: _Sheet, panel: Panel, left: float, top: float, size: tuple[int,
 
 
 def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -> None:
-    """Draws bars, each below its name and its text."""
+    """Draws bars. The name and the text of each bar are above it."""
     from matplotlib.patches import Rectangle
 
     width = BARS - 16
@@ -254,7 +261,7 @@ def _draw_bars(sheet: _Sheet, bars: Bars, label: str, left: float, top: float) -
 
 
 def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
-    """Draws a ground."""
+    """Draws the layer below the curves."""
     if isinstance(ground, Classes):
         from matplotlib.patches import PathPatch
 
@@ -271,13 +278,13 @@ def _draw_ground(axis: Any, ground: Classes | Bars | Spans | None) -> None:
 
 
 def _edges(centres: Array) -> Array:
-    """Returns the ends of equidistant cells."""
+    """Returns the edges of equidistant cells."""
     half = (centres[-1] - centres[0]) / (2 * max(1, len(centres) - 1))
     return np.append(centres - half, centres[-1] + half)
 
 
 def cells(there: Array, x: Array, y: Array) -> Any:
-    """Returns the outline of cells: one rectangle for each run of cells in a row."""
+    """Returns the outline of cells, with one rectangle for each run of cells in a row."""
     from matplotlib.path import Path as Outline
 
     across, down = _edges(x), _edges(y)
@@ -322,22 +329,22 @@ def ticks(
 
 
 def _places(axis: Any, values: Sequence[float], which: Literal[0, 1]) -> list[float]:
-    """Returns the places of values on an axis, from 0 to 1, horizontally or vertically."""
+    """Returns the positions of values on an axis, from 0 to 1. `which` is 0 for the horizontal and 1 for the vertical axis."""
     points = np.empty((len(values), 2))
     points[:, which], points[:, 1 - which] = values, (axis.get_ylim, axis.get_xlim)[which]()[0]
     return (axis.transScale + axis.transLimits).transform(points)[:, which].tolist()
 
 
 def _name_spans(sheet: _Sheet, axis: Any, spans: Spans, left: float, y: float, width: float) -> None:
-    """Writes the names of spans at their middles."""
+    """Writes the name of each span at its middle."""
     low, high = axis.get_xlim()
     for ends, name in zip(spans.ends, spans.names, strict=True):
         first, last = _places(axis, [min(max(end, low), high) for end in ends], 0)
         sheet.write(left + width * (first + last) / 2, y, cut(name, width, FONT), ha="center")
 
 
-# SVG inside a page: text stays text; presentation attributes instead of styles, which a page's policy refuses; no identifiers but
-# those that are referred to; two decimals.
+# SVG in a page: text stays text, and numbers have two decimals. Presentation attributes replace styles, because the page's policy
+# refuses styles. Only identifiers that are referred to remain.
 
 MARK = "\0"
 STYLE = re.compile(r' style="([^"]*)"')
@@ -346,7 +353,7 @@ CLEAN = ((r">\s+<", "><"), (r"\s*\n", ""), (r' transform="rotate\(-0 [^"]*"', ""
 
 
 def panel_svg(panel: Panel, name: str) -> str:
-    """Returns a panel as an `svg` element with the identifier `plot-` and this name, and a text alternative."""
+    """Returns a panel as an `svg` element with the identifier `plot-NAME` and a text alternative."""
     width, height = size = panel_size(panel)
     with _settings():
         sheet = _Sheet(width, height)
@@ -363,7 +370,7 @@ def panel_svg(panel: Panel, name: str) -> str:
 
 
 def key_svg(entry: Entry, name: str) -> str:
-    """Returns the line, the marker or the patch of a legend's entry as an `svg` element that readers of text pass over."""
+    """Returns the legend entry's line, marker or patch as an `svg` element that screen readers skip."""
     drawn = _key_inside(Entry("", *entry[1:])).replace(MARK, f"key-{name}-")
     return f'<svg class="plot" viewBox="0 0 {KEY} 14" aria-hidden="true">{drawn}</svg>'
 
@@ -391,7 +398,7 @@ def _inside(sheet: _Sheet) -> str:
 
 
 def _clean(element: str) -> str:
-    """Returns an element without its content, with presentation attributes and `MARK` in front of identifiers."""
+    """Returns an element without its content, with presentation attributes, and with `MARK` in front of identifiers."""
     element = STYLE.sub(lambda style: _as_attributes(style[1]), element)
     element = re.sub(r"(\.\d\d)\d+", r"\1", element).replace("#000000", "currentColor").replace("xlink:href", "href")
     return re.sub(r'(#| id=")(?=[mpC][0-9a-f_]{9,})', rf"\1{MARK}", element)
@@ -399,6 +406,6 @@ def _clean(element: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _as_attributes(style: str) -> str:
-    """Returns a style as presentation attributes, without its font, which a page chooses."""
+    """Returns a style as presentation attributes, without its font, because the page chooses the font."""
     pairs = (part.split(": ", 1) for part in style.split("; "))
     return "".join(f' {name}="{value}"' for name, value in pairs if not name.startswith("font"))

@@ -1,4 +1,4 @@
-"""Tables and sentences for reading: short, aligned, in one notation. The data in CSV and JSON is unchanged."""
+"""Tables and sentences for readers: short, aligned and in one notation. Data in CSV and JSON are not changed."""
 
 import csv
 import re
@@ -18,29 +18,29 @@ from models.document.document import Pivot, Table
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NUMBER = re.compile(r"([+-]?\d+(?:\.(\d+))?)(e[+-]\d+)?( %|\*)?")
-UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # a number stays on a line with its unit
+UNIT = re.compile(r"(?<=\d) (?=(?:%|mm?|ms|s|k?N|Hz|rad|deg|J|kg)(?![\w/]))")  # keeps a number on the same line as its unit
 POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
 SQUARED_SECONDS = re.compile(r"\b(m|rad)/s2\b")
-LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
+LONG = 28  # letters; a longer remark that occurs in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
-DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as these
+DIGIT, POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a decimal point
 MANY = 10  # rows; a longer table is folded
 LONG_NAME = 16  # letters; a line may break within longer names
-# A name ends at spaces and punctuation other than - and _.
+# A name ends at a space or at a punctuation mark other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A table in short form for reading.
+    """A table in short form for readers.
 
     Attributes:
-        headings: headings of the columns that differ between rows.
+        headings: headings of the columns whose cells differ between rows.
         rows: cells of these columns.
         words: number of left-aligned columns.
-        same: columns that are the same in all rows, as `heading: value`.
-        notes: repeated remarks, by mark.
-        folded: True if it is long.
+        same: columns whose cells are equal in all rows, as `heading: value`.
+        notes: repeated remarks, with their footnote marks.
+        folded: True if the table is long.
     """
 
     headings: tuple[str, ...]
@@ -58,13 +58,13 @@ def notation(text: str) -> str:
 
 
 def _power(one: re.Match[str]) -> str:
-    """Returns a number with an exponent: 1.4·10⁻³, and 1.4 or 0 for an exponent of 0."""
+    """Returns a number with an exponent, such as 1.4·10⁻³; without the power if the exponent is 0."""
     power = f"·10{str(int(one[2])).translate(SUPERSCRIPT)}" if int(one[2]) else ""
     return f"{one[1]}{power}" if float(one[1]) else "0"
 
 
 def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
-    """Writes rows as CSV, whole or not at all.
+    """Writes rows as a complete CSV file.
 
     Raises:
         InputError: the file cannot be written.
@@ -74,7 +74,7 @@ def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
 
 
 def pivot_table(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
-    """Returns headings and rows of a table's short form, and the number of columns that name a row."""
+    """Returns the headings and the rows of a table's short form, and the number of columns that name a row."""
     at = {heading: i for i, heading in enumerate(headings)}
     names = [heading for heading in pivot.rows if heading != "unit"]
     across = dict.fromkeys(row[at[pivot.across]] for row in rows)
@@ -92,17 +92,17 @@ def pivot_table(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: P
 
 
 def short_form(table: Table) -> Reading:
-    """Returns a table as a page shows it first."""
+    """Returns a table in the form that a page shows first."""
     return read(table.headings, table.rows, table.words, table.pivot)
 
 
 def whole_form(table: Table) -> Reading | None:
-    """Returns the whole table as a page shows it below the short form, or None if that is all."""
+    """Returns the whole table, which a page shows below the short form; None if the short form is complete."""
     return read(table.headings, table.rows, table.words) if table.pivot is not None else None
 
 
 def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, pivot: Pivot | None = None) -> Reading:
-    """Returns a table as it is read: without constant columns, with aligned numbers and repeated remarks as footnotes."""
+    """Returns a table for readers: without constant columns, with aligned numbers, and with repeated remarks as footnotes."""
     if pivot is not None and rows:
         headings, rows, words = pivot_table(headings, rows, pivot)
     columns = [list(column) for column in zip(*rows, strict=True)]
@@ -141,7 +141,7 @@ def _with_footnotes(column: Sequence[str], marks: Iterable[str], notes: dict[str
 
 
 def align_numbers(column: Sequence[str]) -> list[str]:
-    """Returns numbers with their points below each other, by figure spaces. A column with an other word than - is unchanged."""
+    """Returns numbers with aligned decimal points, by figure spaces. A column with a word other than "-" is unchanged."""
     matches = [NUMBER.fullmatch(cell) for cell in column]
     if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)
@@ -161,20 +161,21 @@ def align_numbers(column: Sequence[str]) -> list[str]:
 
 
 def drawn_text(text: str) -> str:
-    """Returns a text for SVG and attributes: escaped, with quotes around code."""
+    """Returns a text for SVG and for attributes: escaped, with quotes around code."""
     return escape(quoted_code(text))
 
 
 def quoted_code(text: str) -> str:
-    """Returns a text with quotes instead of backticks, where no other font can show a name."""
+    """Returns a text with quotes instead of backticks, for output that cannot show code in another font."""
     return text.replace("`", "'")
 
 
 def page_text(text: str) -> str:
-    """Returns a text as HTML. What is in backticks is a `code` element.
+    """Returns a text as HTML. Text in backticks becomes a `code` element.
 
-    Long names are `bdi` elements, within which lines may break, as are names from right to left, which would reverse the order
-    of numbers and commas next to them (Unicode Bidirectional Algorithm, UAX #9).
+    Lines may break in long names, which become `bdi` elements. Names that are written from right to left also become `bdi`
+    elements. Without these, they would reverse the order of adjacent numbers and commas (Unicode Bidirectional Algorithm, UAX
+    #9).
     """
     return re.sub("`([^`]+)`", r"<code>\1</code>", NAME.sub(_apart, escape(text)))
 
@@ -210,7 +211,7 @@ def cut(text: str, room: float, size: float) -> str:
 
 
 def wrap_at_spaces(text: str, room: float, size: float) -> list[str]:
-    """Breaks a text at spaces into lines of at most the width `room`, and cuts longer words."""
+    """Breaks a text at spaces into lines of at most the width `room`. Longer words are shortened."""
     lines = list[str]()
     for part in text.splitlines():
         lines.append("")

@@ -1,6 +1,8 @@
-"""Sketches of vehicles as SVG: a body on springs, dampers and forces over wheels, tyres and a road, with a text alternative.
+"""Sketches of vehicles as SVG: a body on springs, dampers and actuators above wheels, tyres and a road.
 
-Lines and letters have the colour of the text around them, so that a sketch is legible on light and dark pages.
+Each sketch has a text alternative.
+
+Lines and letters have the colour of the surrounding text, so a sketch is legible on light and dark pages.
 """
 
 import itertools
@@ -11,14 +13,16 @@ from html import escape
 
 from models.document.reading import drawn_text
 
-Part = tuple[str, str]  # "spring", "damper", "adjustable damper" or "force", and its symbol, as in "k_s"; or "box", and a name
+# Type ("spring", "damper", "adjustable damper", "force" or "box"), and symbol such as "k_s" (for a box: its name)
+Part = tuple[str, str]
 GREEK = {"phi": "φ", "theta": "θ"}
 SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
-ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112  # between parts of a strut, between struts, beside them, and for the computer
-AHEAD = 120  # more of a road that is not flat
-BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # levels, downwards
-LETTERS = 9  # that a box between body and wheel has room for
-SEAT, ABOVE = (-62, -36), 66  # levels of a seat's mass, and height that a drawing with a seat has above others
+# Distances between parts of a strut and between struts, margin, and width of the computer
+ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112
+AHEAD = 120  # additional length of a road that is not flat
+BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # vertical positions, increasing downwards
+LETTERS = 9  # number of letters for which a box between body and wheel has room
+SEAT, ABOVE = (-62, -36), 66  # vertical positions of a seat's mass, and additional height of a drawing with a seat
 
 
 @dataclass(frozen=True)
@@ -28,10 +32,10 @@ class Strut:
     Attributes:
         place: position along the view [m].
         name: name of the wheel; empty for a single wheel.
-        parts: springs, dampers and actuators between body and wheel, or between wheel and road.
+        parts: springs, dampers and actuators between body and wheel, or between body and road.
         mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` touch the road.
         tyre: parts between wheel and road.
-        stopped: True with bump stops.
+        stopped: True for a suspension with bump stops.
     """
 
     place: float
@@ -43,21 +47,21 @@ class Strut:
 
     @property
     def half(self) -> float:
-        """Half of its width in the drawing."""
+        """Half of the width of the strut in the drawing."""
         return ARM * max(len(self.parts), 1) / 2 + 8
 
 
 @dataclass(frozen=True)
 class View:
-    """A side of a vehicle.
+    """One view of a vehicle.
 
     Attributes:
         struts: struts from left to right.
-        body: symbols in the body, as in "m_s, I_y".
-        spans: distances below the road: both ends [m], and a symbol.
-        bar: symbol of an anti-roll bar; empty without one.
-        computer: lines in the box of the computer; empty without one.
-        seat: seat above the body, with the symbol of its mass; None without one.
+        body: symbols in the body, such as "m_s, I_y".
+        spans: distances shown below the road, each with both ends [m] and a symbol.
+        bar: symbol of an anti-roll bar; empty without a bar.
+        computer: lines of text in the box of the computer; empty without a computer.
+        seat: seat above the body, with the symbol of its mass; None without a seat.
     """
 
     struts: tuple[Strut, ...]
@@ -69,7 +73,7 @@ class View:
 
     @property
     def middles(self) -> list[float]:
-        """Positions of the drawn struts: in proportion to their places, without overlap."""
+        """Horizontal positions of the struts in the drawing, in proportion to their places, without overlap."""
         pairs = list(itertools.pairwise(self.struts))
         scale = max(((one.half + other.half + GAP) / (other.place - one.place) for one, other in pairs), default=0.0)
         first = self.struts[0]
@@ -77,7 +81,7 @@ class View:
 
     @property
     def width(self) -> float:
-        """Width of the drawing [m]."""
+        """Width of the drawing."""
         return self.middles[-1] + self.struts[-1].half + (COMPUTER + 24) * bool(self.computer) + SIDE
 
 
@@ -88,7 +92,7 @@ class Sketch:
     Attributes:
         title: title of the sketch.
         views: views from top to bottom.
-        rows: symbol, meaning and value of everything shown or present; a symbol may be empty.
+        rows: symbol, meaning and value of everything that is drawn or present. A symbol may be empty.
     """
 
     title: str
@@ -97,7 +101,7 @@ class Sketch:
 
     @property
     def single(self) -> "tuple[Sketch, ...]":
-        """Every view as a separate sketch, to be placed side by side if there is room."""
+        """Every view as a separate sketch, so that they can be placed side by side if there is room."""
         return tuple(replace(self, views=(view,)) for view in self.views)
 
 
@@ -107,11 +111,13 @@ def symbol_html(symbol: str) -> str:
 
 
 def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alone: bool = False) -> str:
-    """Returns a sketch as an SVG element, with its rows as text alternative.
+    """Returns a sketch as an SVG element. Its rows are the text alternative.
 
     Args:
-        road: place along the view [m] -> height of the road in the drawing, upwards; None for a flat one.
-        alone: True for a file of its own, in dark ink on white.
+        sketch: the sketch.
+        road: function from the place along the view [m] to the height of the road in the drawing, positive upwards; None for a
+            flat road.
+        alone: True for a separate file, with dark lines on white.
     """
     above = ABOVE * any(view.seat is not None for view in sketch.views)
     width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW + above
@@ -163,7 +169,7 @@ def _view(view: View, road: Callable[[float], float] | None) -> Iterator[str]:
 
 
 def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
-    """Yields a suspension with its wheel, which the road has lifted."""
+    """Yields a suspension and its wheel, lifted by the road height `lift`."""
     top, low, road = HUB[0] - lift, HUB[1] - lift, GROUND - lift
     for parts, ends, right in ((strut.parts, (BODY[1], top if strut.mass else road), 6), (strut.tyre, (low, road), 0)):
         for k, (kind, symbol) in enumerate(parts):
@@ -176,7 +182,7 @@ def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
 
 
 def _part(kind: str, symbol: str, x: float, top: float, low: float) -> Iterator[str]:
-    """Yields a spring, a damper, a force, or a box with its name between two levels."""
+    """Yields a spring, a damper, a force or a named box between two vertical positions."""
     middle, reach = (top + low) / 2, (low - top) / 2 - 6
     if kind == "box":
         name = symbol if len(symbol) <= LETTERS else f"{symbol[: LETTERS - 1]}…"
@@ -204,7 +210,7 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 
 
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
-    """Returns a text around x; in symbols the part after _ is a subscript."""
+    """Returns a text centred at x. In symbols, the part after _ is a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
         text = SYMBOL.sub(_subscript, text)
     else:

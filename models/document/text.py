@@ -1,4 +1,4 @@
-"""Documents as text: lines of at most 80 columns for a terminal and a prompt, and Markdown."""
+"""Documents as text: lines of at most 80 columns for a terminal and for a Python prompt, and Markdown."""
 
 import itertools
 import textwrap
@@ -11,26 +11,26 @@ from models.common.printed import GAP, GLUE, LINES, WIDTH, as_name, fit_lines, t
 from models.document.document import NOTE, Block, Detail, Document, Statement, Table, is_shown, notes
 
 HANG = 6  # spaces before a remark below its row
-HEADING = 3  # lines of a heading, at most
-LONG = 10  # rows of a long table, whose columns are closer before its heading has a third line
-CHANGE = " change [%]"  # end of the heading of changes of the numbers in the column before
-BEST = "*"  # after a number
+HEADING = 3  # largest number of lines in a heading
+LONG = 10  # rows of a long table; its columns move closer before a heading gets a third line
+CHANGE = " change [%]"  # end of the heading of a column with the changes of the numbers in the column before
+BEST = "*"  # follows the best number of a column
 
 
 def names_text(names: Iterable[str]) -> str:
-    """Returns names of controllers in a sentence: `a`, `b` and `c`."""
+    """Returns names of controllers for a sentence: `a`, `b` and `c`."""
     return join_words([as_name(name) for name in names])
 
 
 def join_words(words: list[str]) -> str:
-    """Returns words in a sentence: a, b and c."""
+    """Returns words for a sentence: a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
-    """Returns a document's lines for a terminal: its title, then its blocks; documents follow an empty line.
+    """Returns the lines of a document for a terminal: its title, then its blocks. Inner documents follow an empty line.
 
-    Figures are left out. Statements and tables are indented below a title; without one, a table follows an empty line.
+    Figures are omitted. Statements and tables are indented below a title; without a title, a table follows an empty line.
     """
     lines, before = [document.title] if document.title else [], None
     indent = GAP if document.title else ""
@@ -48,10 +48,14 @@ def text_lines(document: Document, detail: Detail = "normal") -> list[str]:
 
 
 def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) -> list[str]:
-    """Returns a document's lines: all if `verbose`; otherwise the normal ones, or the brief ones if a terminal has no room.
+    """Returns the lines of a document at a level of detail that suits the terminal.
+
+    If `verbose`, all lines are returned. Otherwise the normal lines are returned, or the brief ones if a terminal has no room.
 
     Args:
-        others: lines that are printed with them.
+        document: the document.
+        verbose: True for all lines.
+        others: lines that are printed together with the document.
     """
     if verbose:
         return text_lines(document, "full")
@@ -60,9 +64,10 @@ def screen_lines(document: Document, verbose: bool, others: Iterable[str] = ()) 
 
 
 def table_lines(one: Table, indent: str = GAP) -> list[str]:
-    """Returns a table's lines for a terminal: headings wrap if there is no room, and those of changes then are "%" alone.
+    """Returns the lines of a table for a terminal.
 
-    Rows with the same name follow it, indented, if they have further words. Remarks of a last column `NOTE` are right of the
+    If there is no room, headings are wrapped, and headings of changes are shortened to "%". If several rows have the same name,
+    this name is on a line of its own, and the rows follow indented. Remarks of a last column `NOTE` are to the right of their
     row, or below it.
     """
     columns = [each for each in zip(one.headings, *one.rows, strict=True) if each[0] not in one.wide]
@@ -97,21 +102,21 @@ def table_lines(one: Table, indent: str = GAP) -> list[str]:
 
 
 def _align_column(column: Sequence[str]) -> list[str]:
-    """Returns a column of numbers that are aligned although some have a mark of the best."""
+    """Returns a column of numbers, aligned even if some of them have the mark of the best number."""
     heading, *numbers = column
     marked = any(cell.endswith(BEST) for cell in numbers)
     return [heading, *(f"{cell} " if marked and not cell.endswith(BEST) else cell for cell in numbers)]
 
 
 def _heading(text: str, most: int) -> list[str]:
-    """Returns a heading in at most so many lines, as narrow as that allows; its unit is not broken."""
+    """Returns a heading in at most `most` lines, as narrow as possible. Its unit is not broken."""
     glued = text.replace("] ", f"]{GLUE}")
     broken = (textwrap.wrap(glued, width, break_long_words=False, break_on_hyphens=False) for width in range(1, len(text) + 1))
     return [line.replace(GLUE, " ") for line in next(lines for lines in broken if len(lines) <= most)]
 
 
 def markdown(document: Document, level: int = 2) -> str:
-    """Returns a document as Markdown, with all that it has but figures."""
+    """Returns a document as Markdown, with all its blocks except figures."""
     parts = [f"{'#' * level} {document.title}"] if document.title else []
     for block in document.blocks:
         if isinstance(block, Statement):
@@ -125,7 +130,7 @@ def markdown(document: Document, level: int = 2) -> str:
 
 
 class ShownResult:
-    """Result that a prompt shows as text and a notebook as HTML, both from its document. A dataclass must set `repr=False`."""
+    """Result that a Python prompt shows as text, and a notebook as HTML. A dataclass of this type must set `repr=False`."""
 
     @property
     def summary(self) -> Document:
@@ -144,12 +149,12 @@ class ShownResult:
         page = FEATURES.load("pages")
         try:
             page.check_page()
-        except InputError:  # a notebook shows the text
+        except InputError:  # the notebook then shows the text
             return None
         document = self.summary
         return page.fragment(replace(document, blocks=(*document.blocks, *self.figures)))
 
 
 def facts(title: str, rows: Mapping[str, str]) -> Document:
-    """Returns a document with a line for each fact, by name; empty ones are left out."""
+    """Returns a document with a line for each fact, by name. Empty facts are omitted."""
     return Document(title, notes(*(f"{name}: {text}" for name, text in rows.items() if text), detail="brief"))

@@ -1,1 +1,1 @@
-"""Kinds of vehicles: equations, parameters and signals; the shipped ones, and the user's own."""
+"""Vehicle types: equations of motion, parameters and signals, for built-in and custom vehicle types."""

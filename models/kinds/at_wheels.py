@@ -1,4 +1,4 @@
-"""A vehicle at its wheels: linear model with forces there, effect of suspension forces, and rates through motion ratios."""
+"""A vehicle seen at its wheels: linear model with forces at the wheels, effect of suspension forces, and rates at the wheels."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,18 @@ from models.kinds.linear_model import LinearModel
 
 
 def wheel_model(kind: VehicleKind, parameters: Parameters) -> LinearModel:
-    """Returns the linear model whose inputs are forces at the wheels: those of actuators times their motion ratios."""
+    """Returns the linear model whose inputs are forces at the wheels: actuator forces times their motion ratios."""
     return kind.model(kind.at_wheels(parameters))
 
 
 def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequence[str]) -> tuple[Array, Array]:
-    """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
+    """Returns the effect of suspension forces on the states and outputs.
 
-    For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
+    A positive force pulls body and wheel together. For a suspension without an actuator, the effect is computed from a change
+    of its spring or damper parameter.
+
+    Returns:
+        Effects of e forces on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e).
     """
     model, parameters = wheel_model(kind, parameters), kind.at_wheels(parameters)
     suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
@@ -34,13 +38,13 @@ def force_effects(kind: VehicleKind, parameters: Parameters, deflections: Sequen
         by = np.linalg.pinv(model.rows(stretched)[0]) / parameters[parameter]
         push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
         outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
-    # The outputs of actuator forces do not include curves.
+    # The measured force of an actuator does not include the forces of suspension parts.
     outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
     return push, outputs
 
 
 def ratio_notes(kind: VehicleKind, given: Parameters) -> list[str]:
-    """Returns the rates at the wheel of every motion ratio; empty without any."""
+    """Returns notes with the spring and damper rates at the wheel for each motion ratio; empty without motion ratios."""
     wheel, notes = kind.at_wheels(given), dict[str, None]()
     for part in kind.suspensions:
         if part.ratio in given and wheel.get(part.ratio) != given[part.ratio]:

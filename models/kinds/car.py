@@ -1,4 +1,4 @@
-"""Vehicle types of a rigid body on several corners: all that follows from the body and the names of its corners."""
+"""Vehicle types with a rigid body on several corners: everything that follows from the body and the names of its corners."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 
 def lateral(corner: str, p: Parameters) -> float:
-    """Returns the distance of a corner to the left of the vehicle's middle [m]."""
+    """Returns the distance of a corner to the left of the vehicle's centre line [m]."""
     axle, _, side = corner.rpartition("_")
     return (links.track(axle, p) / 2 if side == "left" else -links.track(axle, p) / 2) - p.get("centre_offset", 0.0)
 
 
 @dataclass(frozen=True)
 class Car:
-    """The functions of a vehicle type.
+    """The functions of a vehicle type with a rigid body.
 
     Attributes:
-        body: parameters -> the body.
+        body: function of the parameters: the rigid body.
         corners: names of the corners: an axle, a side, or an axle and a side.
-        tyres: signals of the tyre deflections among the states.
+        tyres: signals of the tyre deflections that are states.
         rates: signals of the body's velocities.
         accelerations: signals of the body's accelerations.
     """
@@ -45,7 +45,7 @@ class Car:
 
     @property
     def states(self) -> tuple[Signal, ...]:
-        """The signals of the state."""
+        """Signals of the states."""
         return (
             *self.at_corners(signals.SUSPENSION_DEFLECTION),
             *self.tyres,
@@ -55,19 +55,19 @@ class Car:
 
     @property
     def derived(self) -> tuple[Signal, ...]:
-        """The signals of the body's accelerations, and of its motion at the corners."""
+        """Signals of the body's accelerations, and of its motion at the corners."""
         return (*self.accelerations, *self.at_corners(signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION))
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
-        """The signals that every response has."""
+        """Output signals that every vehicle of the type has."""
         tyres = self.at_corners(signals.TYRE_DEFLECTION)
         more = () if tyres == self.tyres else tyres
         return (*self.states, *more, *self.derived, *self.at_corners(signals.CONTROL_FORCE))
 
     @property
     def on_demand(self) -> tuple[Signal, ...]:
-        """The signals that a response has if a controller or a goal names them: accelerations of the wheels, and heights."""
+        """Output signals that exist only if a controller or goal names them: accelerations of the wheels, and heights."""
         heights = self.at_corners(signals.SPRUNG_DISPLACEMENT, signals.UNSPRUNG_DISPLACEMENT)
         return (*self.at_corners(signals.UNSPRUNG_ACCELERATION), signals.HEAVE_DISPLACEMENT, *heights)
 
@@ -77,7 +77,7 @@ class Car:
         return rigid_body.linear_model(self.body(p), self.states, forces, roads, (*self.outputs, *self.on_demand))
 
     def motion(self, p: Parameters) -> "Motion":
-        """Returns the exact equations of motion, which have every tyre's own deflection."""
+        """Returns the exact equations of motion. Their states include the deflection of every tyre."""
         from models.kinds.rigid_motion import rigid_motion
 
         lengths = self.at_corners(signals.SUSPENSION_DEFLECTION, signals.TYRE_DEFLECTION)
@@ -85,11 +85,11 @@ class Car:
         return rigid_motion(self.body(p), states, (*self.derived, *self.on_demand))
 
     def static_tyre_deflection(self, p: Parameters) -> dict[str, float]:
-        """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
+        """Returns the compression of each tyre in equilibrium [m], by tyre deflection signal."""
         return self.body(p).static_tyre_deflection()
 
     def static_loads(self, p: Parameters) -> dict[str, float]:
-        """Returns the body's weight on each suspension [N], by deflection."""
+        """Returns the weight of the body on each suspension [N], by deflection signal."""
         names = (signal.name for signal in self.at_corners(signals.SUSPENSION_DEFLECTION))
         return dict(zip(names, self.body(p).static_loads().tolist(), strict=True))
 
@@ -102,7 +102,10 @@ class Car:
         return links.wheel_loads(p, self.corners)
 
     def carried(self, p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
-        """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
+        """Returns the loads that links and wheel inertia add to the moment of a force on the body, by name [N, N m].
+
+        Arguments are those of `links.carried_loads`.
+        """
         return links.carried_loads(p, self.corners, way, force, acceleration)
 
     def angles(self, p: Parameters) -> dict[str, dict[str, float]]:
@@ -117,7 +120,7 @@ class Car:
         combined: Mapping[str, Mapping[str, float]] | None = None,
         lacking: Mapping[str, str] | None = None,
     ) -> VehicleKind:
-        """Returns the vehicle type; `check` refuses an impossible body, and the others are as in `VehicleKind`."""
+        """Returns the vehicle type. `check` refuses an impossible body; the other arguments are those of `VehicleKind`."""
         sides = {corner: next((side for side in links.SIDES if corner.endswith(side)), "") for corner in self.corners}
         rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
         return VehicleKind(

@@ -1,4 +1,4 @@
-"""Interface of a kind of vehicle, which `models/<name>.py` must provide, its parameters included."""
+"""Interface of a vehicle type, including its parameters. Each file `models/<name>.py` provides one vehicle type."""
 
 import pickle
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -30,14 +30,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Variation(CheckedFields):
-    """Range of a parameter over vehicles of a kind, relative to the one that a controller was designed for.
+    """Range of a parameter over a family of vehicles, relative to the vehicle for which a controller is designed.
 
     Attributes:
-        name: the varying quantity, as text. Parameters with the same variation vary together.
-        smallest, largest: factors on the parameter, at most 1 and at least 1.
+        name: name of the varied quantity, as text. Parameters with the same variation vary together.
+        smallest: smallest factor on the parameter, above 0 and at most 1.
+        largest: largest factor on the parameter, at least 1.
 
     Raises:
-        InputError: the factors are no such range.
+        InputError: the factors are not a valid range.
     """
 
     name: str
@@ -59,18 +60,19 @@ class Variation(CheckedFields):
 
 @dataclass(frozen=True)
 class Parameter(CheckedFields):
-    """Number of a vehicle file.
+    """Parameter of a vehicle type: a number in a vehicle file.
 
     Attributes:
-        name: key under `[parameters]`.
+        name: key in `[parameters]`.
         unit: SI unit.
         meaning: description in one line.
-        positive: True if zero is refused too. Infinite, NaN and absurdly large values always are.
-        varied: accepted from vehicle types that were written for earlier versions, and without effect.
+        positive: True if 0 is not allowed. Infinite, NaN and extremely large values are never allowed.
+        varied: accepted for vehicle types that were written for earlier versions; has no effect.
         largest: largest allowed value.
-        usual: default value; None for a parameter without one.
-        smallest: smallest allowed value; None for 0, or the least positive one.
-        optional: True if a vehicle file may omit it, which is not the same as any value.
+        usual: default value; None for a parameter without a default.
+        smallest: smallest allowed value; None for 0, or for the smallest positive value if `positive` is True.
+        optional: True if a vehicle file may omit the parameter. A missing parameter has its own meaning, different from any
+            value.
     """
 
     name: str
@@ -92,66 +94,68 @@ class Parameter(CheckedFields):
         """Returns the value as a float.
 
         Raises:
-            InputError: the value is not a number of the allowed range.
+            InputError: the value is not a number in the allowed range.
         """
         return self.number.number(self.name, value)
 
     @property
     def number(self) -> SI:
-        """Unit, meaning and range, as those of a key of a section."""
+        """Unit, meaning and range of the parameter, in the form of a key of a section."""
         least = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         return SI(self.unit, self.meaning, least, self.largest)
 
 
 def motion_ratio(name: str) -> Parameter:
-    """Returns the parameter of the motion ratio of an axle, or of the only suspension."""
+    """Returns the parameter for the motion ratio of an axle or of the only suspension."""
     meaning = "r, travel of spring, damper, bump stop and actuator per wheel travel; 1 if they are at the wheel"
     return Parameter(name, "1", meaning, smallest=0.05, largest=5.0, optional=True)
 
 
 def is_number(value: Any) -> bool:
-    """Returns True if the value is a number that a vehicle file may hold."""
+    """Returns True if the value is a number that is allowed in a vehicle file."""
     return is_finite(value) and abs(value) <= LARGEST
 
 
-HERE = Path(__file__).parent.parent  # folder of the shipped kinds
+HERE = Path(__file__).parent.parent  # folder of the built-in vehicle types
 GRAVITY = 9.81  # m/s2, written into every MJCF
-MOST_SQUEEZE = 0.25  # m; no tyre survives more
-LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
-MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
+MOST_SQUEEZE = 0.25  # m, largest static tyre deflection; no tyre survives more
+# Smallest height of a hub above the road in equilibrium [m]. It is larger than MOST_SQUEEZE, because a tyre deflection may exceed
+# that limit before a time step ends.
+LOWEST_HUB = 0.26
+MOST_KEPT = 16  # number of linear models that a vehicle type caches, because a study needs the same vehicle many times
 
 SEAT_POINTS = {
     "seat": "a seat has a section of its own: write [seat] with mass, stiffness and damping"
-}  # of built-in kinds, `lacking`
-NEGLIGIBLE_ACCELERATION = 1e-12  # of the largest acceleration by a force: less is rounding
+}  # `lacking` of built-in vehicle types
+NEGLIGIBLE_ACCELERATION = 1e-12  # relative to the largest acceleration due to a force; smaller values are rounding errors
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
 
 
-# The usual functions of a kind have names: pickle finds no function without one.
+# The default functions of a vehicle type have names, because pickle cannot find functions without a name.
 def nowhere_else(p: Parameters) -> float:
-    """Returns 0 m: the wheel is at the first one, or in the vehicle's middle."""
+    """Returns 0 m: the wheel is at the longitudinal position of the first wheel, or on the vehicle's centre line."""
     return 0.0
 
 
 def nothing(*_: Any) -> Any:
-    """Returns no loads, no angles and no objections."""
+    """Returns an empty mapping: no loads and no angles, and no error from a check."""
     return {}
 
 
 @dataclass(frozen=True)
 class Wheel(CheckedFields):
-    """Point where a road acts on the vehicle.
+    """Wheel: a point where a road acts on the vehicle.
 
     Attributes:
-        road_body: MJCF mocap body that carries the road under this wheel.
-        road_displacement: signal of the road's height under it.
-        road_velocity: signal of the road's vertical velocity under it, a disturbance of the linear model.
-        tyre_deflection: signal of its tyre.
-        behind: parameters -> distance behind the first wheel [m].
-        side: the track it runs in, "left" or "right"; empty if the vehicle has only one.
-        lateral: parameters -> distance to the left of the vehicle's middle [m].
+        road_body: MJCF mocap body of the road under this wheel.
+        road_displacement: signal of the road height under this wheel.
+        road_velocity: signal of the vertical road velocity under this wheel, a disturbance of the linear model.
+        tyre_deflection: signal of the tyre's deflection.
+        behind: function of the parameters: distance behind the first wheel [m].
+        side: track of the wheel, "left" or "right"; empty if the vehicle has only one track.
+        lateral: function of the parameters: distance to the left of the vehicle's centre line [m].
     """
 
     road_body: Name
@@ -165,10 +169,13 @@ class Wheel(CheckedFields):
 
 @dataclass(frozen=True)
 class DampedTyre:
-    """Tyre whose force is that of its equivalent deflection t + (c / k) (z_u' - z_r') on its stiffness k, with its damping c.
+    """Tyre with stiffness k and damping c.
+
+    The force is k times the equivalent deflection t + (c / k) (z_u' - z_r').
 
     Attributes:
-        hub, road: signals of the velocities z_u' and z_r'.
+        hub: signal of the hub velocity z_u'.
+        road: signal of the road velocity z_r'.
         time: c / k [s].
     """
 
@@ -179,15 +186,17 @@ class DampedTyre:
 
 @dataclass(frozen=True)
 class Suspension(CheckedFields):
-    """Suspension of the body on a wheel.
+    """Suspension between the body and a wheel.
 
     Attributes:
-        deflection: signal of its extension.
-        tendon: name of the MJCF tendon; the bump stop is parallel to it.
-        force: input that pushes along it; empty for a passive one.
-        stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
-        ratio: parameter of its motion ratio, travel of all its elements per wheel travel; empty for elements at the wheel. The
-            equations of the kind are for elements at the wheel: `VehicleKind.at_wheels` converts.
+        deflection: signal of the suspension's extension.
+        tendon: name of the MJCF tendon. The bump stop is parallel to this tendon.
+        force: name of the input that acts along the suspension; empty for a passive suspension.
+        stiffness: name of the parameter of the spring; empty without a spring. A characteristic can replace the parameter.
+        damping: name of the parameter of the damper; empty without a damper. A characteristic can replace the parameter.
+        ratio: name of the parameter of the motion ratio: travel of all elements of the suspension, divided by the wheel travel.
+            Empty for elements at the wheel. The equations of a vehicle type are for elements at the wheel;
+            `VehicleKind.at_wheels` converts the parameters.
     """
 
     deflection: Name
@@ -198,22 +207,22 @@ class Suspension(CheckedFields):
     ratio: str = ""
 
     def motion_ratio(self, parameters: Parameters) -> float:
-        """Returns its motion ratio."""
+        """Returns the motion ratio of the suspension."""
         return parameters.get(self.ratio, 1.0)
 
     @property
     def ending(self) -> str:
-        """Suffix of the names at its corner."""
+        """Suffix of the names of signals and parameters at the corner of this suspension."""
         return self.deflection.removeprefix(SUSPENSION_DEFLECTION.name)
 
     @property
     def corner(self) -> str:
-        """Name of its corner; empty for a single suspension."""
+        """Name of the corner; empty for a vehicle with a single suspension."""
         return self.ending.removeprefix("_")
 
     @property
     def velocity(self) -> Signal:
-        """The signal of its extension rate."""
+        """Signal of the extension rate."""
         common = self.deflection.startswith(SUSPENSION_DEFLECTION.name)
         corner = self.corner if common else self.deflection
         return SUSPENSION_VELOCITY.at(corner) if corner else SUSPENSION_VELOCITY
@@ -224,8 +233,9 @@ class BodyLoad(CheckedFields):
     """Direction in which an external load acts on the body.
 
     Attributes:
-        name: name of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...` [N].
-        joint: MJCF slide or hinge along which it acts, in the load's direction.
+        name: name of the load in the linear model: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...`
+            [N].
+        joint: slide or hinge joint of the MJCF along which the load acts. Both have the same positive direction.
     """
 
     name: str
@@ -234,13 +244,15 @@ class BodyLoad(CheckedFields):
 
 @dataclass(frozen=True)
 class Invariant(CheckedFields):
-    """Transmissibility, from the road's displacement under every wheel, that no suspension force can change.
+    """Transmissibility that no suspension force can change, at one frequency.
+
+    The input is a road displacement that is equal under all wheels.
 
     Attributes:
-        name: name of the quantity, as in "z_s/z_r".
-        signals: signals whose sum is the quantity.
-        omega: parameters -> frequency [rad/s].
-        magnitude: parameters -> the transmissibility there, above 0.
+        name: name of the transmissibility, such as "z_s/z_r".
+        signals: signals whose sum is the output of the transmissibility.
+        omega: function of the parameters: angular frequency [rad/s].
+        magnitude: function of the parameters: magnitude of the transmissibility at this frequency, above 0.
     """
 
     name: str
@@ -251,10 +263,10 @@ class Invariant(CheckedFields):
 
 @dataclass(frozen=True)
 class RidePoints:
-    """Vertical accelerations at which the ride is measured, by signal.
+    """Signals of the vertical accelerations at which the ride is measured.
 
     Attributes:
-        people: points with a person, named by the vehicle type or else the masses above the body; empty without any.
+        people: points with a person: those that the vehicle type names, otherwise the masses above the body; may be empty.
         others: other points of the body.
         named: True if the vehicle type names its points with a person.
     """
@@ -265,54 +277,62 @@ class RidePoints:
 
     @property
     def all(self) -> tuple[str, ...]:
-        """Every point, those with a person first."""
+        """All points, those with a person first."""
         return (*self.people, *self.others)
 
     @property
     def worst_of(self) -> tuple[str, ...]:
-        """Points whose largest value is the ride of the vehicle: those with a person, or all without any."""
+        """Points that determine the ride of the vehicle: those with a person, or all points if there is no person."""
         return self.people or self.others
 
 
 @dataclass(frozen=True)
 class VehicleKind(CheckedFields):
-    """Equations of a vehicle type. Every function takes the parameters as a mapping from name to SI value.
+    """Vehicle type: equations of motion, parameters, signals and MuJoCo model.
+
+    Every function below takes the parameters as a mapping from name to SI value.
 
     Attributes:
         name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
         parameters: all parameters of a vehicle file.
-        signals: signals of every vehicle of the kind: outputs of the linear model and, by the same names, sensors of the MJCF.
+        signals: signals that every vehicle of the type has: outputs of the linear model, and sensors of the MJCF with the same
+            names.
         wheels: wheels in the order of the linear model's disturbances.
-        linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
-        static_tyre_deflection: parameters -> compression of each tyre at rest [m], by tyre deflection signal. The wheel is off
-            the ground if its tyre deflection, or the equivalent one of a damping tyre (`DampedTyre`), exceeds it.
-        write_mjcf: function that writes the parameters into an `MjSpec` of the kind's `.xml`, without an import of MuJoCo.
-        folder: folder of its `.xml`.
-        check_together: function that raises InputError if valid single parameters are not a vehicle together.
-        combined: signals without a sensor that are sums of others, as {name: {other signal: factor}}.
-        suspended: suspensions of the kind. None: one for every signal `suspension_deflection...`, with the tendon `suspension...`
-            and, if present, the force `control_force...` of the same suffix.
+        linear_model: function of the parameters: `LinearModel` of all signals, including those on demand. `model` returns the
+            model of a vehicle.
+        static_tyre_deflection: function of the parameters: compression of each tyre in equilibrium [m], by tyre deflection
+            signal. A wheel leaves the ground if its tyre deflection (`DampedTyre`: the equivalent deflection) exceeds this
+            value.
+        write_mjcf: function of an `MjSpec` of the type's `.xml` and the parameters: writes the parameters into the `MjSpec`,
+            without importing MuJoCo.
+        folder: folder of the `.xml` file.
+        check_together: function of the parameters: raises InputError if parameters that are valid individually are not a valid
+            vehicle in combination.
+        combined: signals without a sensor that are sums of other signals, as {name: {other signal: factor}}.
+        suspended: suspensions of the type. None for one suspension per signal `suspension_deflection...`, with the tendon
+            `suspension...` and, if it exists, the force `control_force...` with the same suffix.
         invariants: transmissibilities that no suspension force can change.
-        on_demand: signals that a vehicle has only if its file names them: outputs and sensors like the others, without cost if
-            they are not named.
-        loads: external loads on its body, in the order of the linear model's loads; those on wheels follow in a vehicle that has
-            some.
-        wheel_loads: parameters -> loads on its wheels by links and by the wheels' own mass, if its vehicle file has these.
-        carried: (parameters, way, force on the body [N], acceleration of the wheels [m/s2]) -> loads that links and the wheels'
-            own mass add to the force's moment on the body. The way is `roll_load`, of a force to the right, or `pitch_load`, of
-            one forwards.
-        angles: parameters -> the body's angles over level ground [rad] as sums of signals, {"pitch_angle": {signal: factor}},
-            `roll_angle` likewise.
-        motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
-            compared with the linear model alone.
-        static_loads: parameters -> the body's weight on each suspension [N], by deflection; empty if it is not known.
-        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter; only
-            in the kind of a vehicle that has some.
-        people: accelerations [m/s2] of the points with a person, the most important one first. None: those of masses above the
-            body, if it has some; empty for none.
-        of_parts: signals of the own states of force elements, without sensors, among the signals; only in the kind of a vehicle
-            that has some.
-        lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
+        on_demand: signals that a vehicle has only if its file names them. They are outputs and sensors like the other signals,
+            but cost no computing time if they are not named.
+        loads: external loads on the body, in the order of the linear model's loads. Loads on wheels follow, if the vehicle has
+            such loads.
+        wheel_loads: function of the parameters: loads on the wheels due to suspension links and wheel inertia, if the vehicle
+            file describes them.
+        carried: function that returns the loads that suspension links and wheel inertia add to the moment of a force on the
+            body. Its arguments are the parameters, the direction, the force [N] and the acceleration of the wheels [m/s2]. The
+            direction is `roll_load` for a force to the right, or `pitch_load` for a forward force.
+        angles: function of the parameters: angles of the body relative to level ground [rad] as sums of signals. The result has
+            the form {"pitch_angle": {signal: factor}, "roll_angle": {signal: factor}}.
+        motion: function of the parameters: exact equations of motion, independent of the MJCF. None if the type has no exact
+            equations; MuJoCo is then compared only with the linear model.
+        static_loads: function of the parameters: weight of the body on each suspension [N], by deflection; empty if unknown.
+        ratios: `models.characteristics.ratio_table.RatioTable` of each motion ratio that changes with travel, by parameter.
+            Only in the type of a vehicle with such ratios.
+        people: signals of the accelerations [m/s2] at points with a person, the most important point first. None for the masses
+            above the body, if there are any; empty for no person.
+        of_parts: signals of the own states of force elements. They belong to `signals`, but have no sensors. Only in the type
+            of a vehicle with such elements.
+        lacking: parameters that a user may expect but the type does not have, as {beginning of the name: reason}.
     """
 
     name: str
@@ -340,7 +360,7 @@ class VehicleKind(CheckedFields):
     of_parts: tuple[Signal, ...] = ()
 
     def __repr__(self) -> str:
-        """Returns its name and how much it has."""
+        """Returns the name, and the numbers of parameters, signals and wheels."""
         return (
             f"VehicleKind {self.name}: {len(self.parameters)} parameters, {len(self.signals)} signals, {len(self.wheels)} wheels"
         )
@@ -348,24 +368,27 @@ class VehicleKind(CheckedFields):
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         if self.folder == HERE:
             return super().__reduce_ex__(protocol)
-        import cloudpickle  # no module has the functions of a user's own kind
+        import cloudpickle  # functions of a custom vehicle type belong to no importable module
 
         return _from_pickle, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "VehicleKind":
-        return self  # it is frozen
+        return self  # the object is frozen
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
-        """Returns the kind with those of the signals on demand that are named, after its other signals."""
+        """Returns the vehicle type with those signals on demand that are named, after its other signals."""
         more = [*self.possible.values()][len(self.signals) :]
         named = tuple(signal for signal in more if signal.name in names)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
     def with_states(self, of_parts: tuple[Signal, ...]) -> "VehicleKind":
-        """Returns the kind with signals of the own states of force elements, instead of those that it has.
+        """Returns the vehicle type with other signals of the own states of force elements.
+
+        Args:
+            of_parts: signals of the own states. They replace the present signals of own states.
 
         Raises:
-            InputError: another signal has the name of such a signal.
+            InputError: the name of a new signal is already used.
         """
         others = tuple(signal for signal in self.signals if signal not in self.of_parts)
         taken = [*names_of(others), *(name for name in self.possible if name not in names_of(self.signals))]
@@ -378,26 +401,26 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def possible(self) -> dict[str, Signal]:
-        """All signals that a vehicle of the kind can have, by name: its own, those on demand, and suspension velocities."""
+        """All signals that a vehicle of the type can have, by name: its own, those on demand, and suspension velocities."""
         velocities = (part.velocity for part in self.suspensions)
         return {one.name: one for one in (*self.signals, *self.on_demand, *velocities)}
 
     def with_wheel_loads(self, parameters: Parameters) -> "VehicleKind":
-        """Returns the kind with loads on the wheels, if vehicles of these parameters have some."""
+        """Returns the vehicle type with loads on the wheels, if a vehicle with these parameters has such loads."""
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
     @cached_property
     def unnamed(self) -> tuple[str, ...]:
-        """The signals on demand that its vehicles do not have."""
-        known = set(self.signals)  # to compare signals one by one took longer than to compile a model
+        """Names of the signals on demand that vehicles of this type do not have."""
+        known = set(self.signals)  # comparing the signals one by one would take longer than compiling a model
         return tuple(signal.name for signal in self.on_demand if signal not in known)
 
     def at_wheels(self, parameters: Parameters) -> Parameters:
-        """Returns the parameters with the rates of springs and dampers at the wheel, k r^2 and c r^2 at a motion ratio r.
+        """Returns the parameters with spring and damper rates at the wheel: k r^2 and c r^2 for the motion ratio r.
 
-        A ratio that changes with travel turns the preload: of its springs that is part of the rate. The ratios are then 1, or
-        are left out if they are tables.
+        If a ratio changes with travel, the preload of the spring also contributes to the stiffness at the wheel. In the result,
+        constant ratios are 1, and ratios from tables are omitted.
         """
         given = [part for part in self.suspensions if part.ratio in parameters]
         parts = [part for part in given if parameters[part.ratio] != 1 or part.ratio in self.ratios] if given else []
@@ -414,15 +437,17 @@ class VehicleKind(CheckedFields):
         return {name: rate for name, rate in rates.items() if name not in self.ratios}
 
     def table_of(self, place: Suspension) -> Any:
-        """Returns the `RatioTable` of a suspension whose motion ratio changes with travel, or None."""
+        """Returns the `RatioTable` of a suspension whose motion ratio changes with travel; otherwise None."""
         table = self.ratios.get(place.ratio)
         return None if table is None or table.straight else table
 
     def _rates_of_preload(self, parameters: Parameters) -> dict[str, float]:
-        """Returns what motion ratios over travel add to the wheel rates of springs by their preload [N/m], by parameter.
+        """Returns the contribution of preloads to the wheel rates of springs [N/m], by parameter.
+
+        Only motion ratios that change with travel cause this contribution.
 
         Raises:
-            InputError: the load of a spring is unknown, or springs of one parameter carry different ones.
+            InputError: the load of a spring is unknown, or springs with the same parameter carry different loads.
         """
         rates, loads = dict[str, float](), self.static_loads(parameters) if self.ratios else {}
         for part in self.suspensions:
@@ -444,7 +469,7 @@ class VehicleKind(CheckedFields):
         return {force: ratios.get(force, 1.0) for force in forces}
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
+        """Returns the linear model with the signals of this type's vehicles. The models of the last vehicles are cached."""
         key, kept = tuple(parameters.items()), self._models
         if key not in kept:
             model = self.full_model(parameters).of(names_of(self.signals))
@@ -458,9 +483,9 @@ class VehicleKind(CheckedFields):
         return {}
 
     def full_model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with all possible signals, its elements at their motion ratios.
+        """Returns the linear model with all possible signals and with all elements at their motion ratios.
 
-        These are also the signals on demand, and the suspensions' velocities that it lacks.
+        The signals include those on demand, and the suspension velocities that `linear_model` does not return.
         """
         at_wheels = self.at_wheels(parameters)
         model = self.linear_model(at_wheels)
@@ -475,7 +500,7 @@ class VehicleKind(CheckedFields):
 
     @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
-        """The suspensions, from `suspended` or from the usual names."""
+        """The suspensions, from `suspended` or from the usual signal names."""
         if self.suspended is not None:
             return tuple(self.suspended)
         names, suspensions = names_of(self.signals), []
@@ -495,21 +520,27 @@ class VehicleKind(CheckedFields):
         return tuple(suspensions)
 
     def of_corner(self, parameter: str, ending: str) -> str:
-        """Returns the parameter at a corner, or of its axle, or of the whole vehicle; empty if the kind has no such parameter."""
+        """Returns the name of a parameter for a corner, for its axle, or for the whole vehicle; empty if it does not exist.
+
+        Args:
+            parameter: name of the parameter without a suffix.
+            ending: suffix of the corner.
+        """
         names = {known.name for known in self.parameters}
         while ending and f"{parameter}{ending}" not in names:
             ending = ending.rpartition("_")[0]
         return f"{parameter}{ending}" if f"{parameter}{ending}" in names else ""
 
     def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
-        """Returns the invariants of a vehicle: those of its kind, or none if a tyre damps.
+        """Returns the invariants of a vehicle: those of its type, but none if a tyre has damping.
 
-        With c s + k instead of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
+        Without damping, m_u s^2 + k = 0 at one frequency, at which the suspension force does not change the transmissibility.
+        With tyre damping, m_u s^2 + c s + k is not zero at any frequency.
         """
         return () if self.damped_tyres(parameters) else self.invariants
 
     def damped_tyres(self, parameters: Parameters) -> "Mapping[str, DampedTyre]":
-        """Returns the tyres that damp, by their deflection signals; none of a user's own kind."""
+        """Returns the tyres with damping, by their deflection signals; empty for custom vehicle types."""
         tyres = {}
         for wheel in self.wheels if self.folder == HERE else ():
             ending = wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
@@ -519,21 +550,21 @@ class VehicleKind(CheckedFields):
         return tyres
 
     def deflection_of(self, force: str) -> str:
-        """Returns the suspension deflection along which a force acts; empty if it does not belong to a suspension."""
+        """Returns the deflection of the suspension along which a force acts; empty if the force acts elsewhere."""
         return next((part.deflection for part in self.suspensions if part.force == force), "")
 
     @property
     def corners(self) -> dict[str, str]:
-        """Suffix of the names at a suspension, by its force."""
+        """Suffix of the names at each suspension, by the force of the suspension."""
         return {part.force: part.ending for part in self.suspensions if part.force}
 
     @property
     def mjcf(self) -> Path:
-        """Path of the kind's MJCF."""
+        """Path of the MJCF of the vehicle type."""
         return self.folder / f"{self.name}.xml"
 
     def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters, each checked by itself, in the kind's order.
+        """Returns all parameters in the order of the vehicle type, after checking each one separately.
 
         Raises:
             InputError: a parameter is missing, unknown or not allowed.
@@ -554,11 +585,11 @@ class VehicleKind(CheckedFields):
         return checked
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters, checked, in the kind's order.
+        """Returns all parameters in the order of the vehicle type, after checking each one and their combination.
 
         Raises:
-            InputError: errors of `check_each`, or parameters that are not a vehicle together, or leave a tyre at rest
-                fully compressed or off the road.
+            InputError: any error of `check_each`, or the combination is not a valid vehicle. Also if a tyre is fully compressed
+                or has no contact with the road in equilibrium.
         """
         checked = self.check_each(parameters)
         at_wheels = self.at_wheels(checked)
@@ -580,9 +611,9 @@ class VehicleKind(CheckedFields):
         return checked
 
     def ride_points(self, model: LinearModel) -> RidePoints:
-        """Returns the points of a vehicle with this linear model at which the ride is measured.
+        """Returns the points at which the ride is measured, for a vehicle with this linear model.
 
-        A mass is above the body if no force acts on it directly that also acts on a wheel.
+        A mass counts as above the body if no force that acts on a wheel also acts directly on this mass.
         """
         units = {signal.name: signal.unit for signal in self.signals}
         names = [one for one in model.outputs if units[one] == "m/s2" and not one.startswith(UNSPRUNG_ACCELERATION.name)]
@@ -594,10 +625,10 @@ class VehicleKind(CheckedFields):
         return RidePoints(people, tuple(name for name in names if name not in people), self.people is not None)
 
     def signal(self, name: str) -> Signal:
-        """Returns the signal of that name, which this kind has."""
+        """Returns the signal with a name. The vehicle type must have this signal."""
         return next(signal for signal in self.signals if signal.name == name)
 
 
 def _from_pickle(content: bytes) -> VehicleKind:
-    """Returns a kind of a user's own from its pickled fields."""
+    """Returns a custom vehicle type from its pickled fields."""
     return VehicleKind(**pickle.loads(content))

@@ -2,13 +2,14 @@
 
     x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
-with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). In the
-paper, and if the body can follow every motion of the wheels, Br and Cr are zero: only the road's velocity acts. Under four wheels
-the road's twist acts as a displacement.
+with the road heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/loads/`). In the
+paper, and if the body can follow every motion of the wheels, Br and Cr are zero, so only the road velocity acts. Under four
+wheels, the warp of the road acts as a displacement.
 
-The road's velocity acts in two ways: Bw = J + Bt. It moves deflections by J, whatever their forces. Through tyres that damp it
-pushes the wheels by Bt, and shows in their accelerations by Dw. A vertical edge then is an impulse on the wheel. A road that is
-held over a step moves deflections between steps, and pushes by its mean velocity within them.
+The road velocity acts in two ways: Bw = J + Bt. The matrix J describes how it changes deflections, independent of all forces.
+The matrix Bt describes how it pushes the wheels through tyres with damping, and Dw describes the effect on accelerations. With
+tyre damping, a vertical edge of the road is an impulse on the wheel. If the road height is held over a step, deflections change
+between steps, and the mean road velocity of the step pushes the wheels within it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,28 +25,28 @@ from models.common.errors import InputError, list_names, short_repr
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Linear vehicle model, measured from static equilibrium.
+    """Linear vehicle model relative to static equilibrium.
 
     Attributes:
         A: state matrix, shape (n, n).
         B: input matrix, shape (n, m).
-        Bw: disturbance matrix, shape (n, r). The disturbance is the road's vertical *velocity* under each wheel [m/s].
-        C: read-out of every output signal from the state, shape (p, n).
-        D: read-out of every output signal from the input, shape (p, m).
-        states: names of the states, n of them.
-        inputs: names of the inputs, m of them [N].
-        disturbances: names of the disturbances, r of them [m/s].
-        outputs: names of the output signals, p of them.
-        Br: gain from the road's heights to x', shape (n, r).
-        Cr: gain from the road's heights to the output signals, shape (p, r).
-        twist_rate: velocity [m/s] that counts as much as a metre of road twist in a design [rad/s].
-        loads: names of the loads on the body, l of them [N, N m].
+        Bw: disturbance matrix, shape (n, r). The disturbance is the vertical road *velocity* under each wheel [m/s].
+        C: gain from the state to each output signal, shape (p, n).
+        D: gain from the input to each output signal, shape (p, m).
+        states: names of the n states.
+        inputs: names of the m inputs [N].
+        disturbances: names of the r disturbances [m/s].
+        outputs: names of the p output signals.
+        Br: gain from the road heights to x', shape (n, r).
+        Cr: gain from the road heights to the output signals, shape (p, r).
+        twist_rate: road velocity that has the same weight in a design as one metre of road warp [rad/s].
+        loads: names of the l loads on the body [N, N m].
         Bl: gain from the loads to x', shape (n, l); zero by default.
         Dl: gain from the loads to the output signals, shape (p, l); zero by default.
-        Bt: part of Bw by which the damping of tyres pushes the wheels, shape (n, r); zero by default.
-        Dw: gain from the road's velocities to the output signals, shape (p, r); zero by default.
-        heights: output signals that are heights over the datum of a flat road. The state has deflections alone, so they are
-            read from these and, by Cr, the road's height.
+        Bt: part of Bw that acts through the damping of tyres, shape (n, r); zero by default.
+        Dw: gain from the road velocities to the output signals, shape (p, r); zero by default.
+        heights: names of output signals that are heights above a flat datum. The state contains only deflections, so these
+            heights depend on the state and, through Cr, on the road height.
 
     Raises:
         InputError: a matrix does not fit the names or is not finite, or the names are not distinct texts.
@@ -109,52 +110,63 @@ class LinearModel:
 
     @property
     def measurable(self) -> tuple[str, ...]:
-        """Output signals that a controller can measure: all but those that contain the road's height.
+        """Output signals that a controller can measure: all signals that do not depend on the road height.
 
-        Control forces are measurable: a controller that knows them can subtract them from an acceleration.
+        Control forces are included, because a controller that measures them can subtract their effect from an acceleration.
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
     def over_datum(self, signals: Collection[str]) -> list[str]:
-        """Returns those of some signals that are heights over the datum of a flat road: a law for study may measure these."""
+        """Returns those of the given signals that are heights above a flat datum. Only a law for a study may measure them."""
         return [name for name in self.heights if name in signals]
 
     @property
     def tyres_damp(self) -> bool:
-        """True if the road's velocity pushes a wheel."""
+        """True if a tyre has damping, so that the road velocity pushes a wheel."""
         return bool(self.Bt.any() or self.Dw.any())
 
     @property
     def jump(self) -> Array:
-        """J, direct effect of the road's height on the states, shape (n, r): x - J z_r does not jump where a held road does."""
+        """J, direct effect of the road height on the states, shape (n, r).
+
+        At a step of a held road, x - J z_r is continuous.
+        """
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 
     @property
     def Bh(self) -> Array:
-        """Effect of what is held over a step on x', shape (n, l), or (n, l + r) if tyres damp: loads, then road velocities."""
+        """Effect on x' of the quantities that are held over a step: loads and, if tyres have damping, road velocities.
+
+        The shape is (n, l), or (n, l + r) with tyre damping.
+        """
         return np.hstack([self.Bl, self.Bt]) if self.tyres_damp else self.Bl
 
     @property
     def Dh(self) -> Array:
-        """The same on the output signals, shape (p, l) or (p, l + r)."""
+        """Effect of the quantities that are held over a step on the output signals, shape (p, l) or (p, l + r); see `Bh`."""
         return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
 
     def of(self, outputs: Collection[str]) -> "LinearModel":
-        """Returns the model with some of its output signals, in their order."""
+        """Returns the model with selected output signals, in the order of the model."""
         chosen = [name in outputs for name in self.outputs]
         names = tuple(compress(self.outputs, chosen))
         rows = {name: getattr(self, name)[chosen] for name in ("C", "D", "Cr", "Dl", "Dw")}
         return replace(self, outputs=names, heights=tuple(self.over_datum(names)), **rows)
 
     def has_rate(self, output: str) -> bool:
-        """Returns True if the time derivative of an output signal is an output: the road and the forces must not act on it at
-        once.
+        """Returns True if the time derivative of an output signal is a function of state, road height and forces.
+
+        This requires that neither a force nor the road velocity acts directly on the signal.
         """
         i = self.outputs.index(output)
         return not (np.any(self.D[i]) or np.any(self.C[i] @ self.Bw + self.Cr[i]))
 
     def with_rates(self, rates: Mapping[str, str]) -> "LinearModel":
-        """Returns the model with time derivatives of output signals, {name of the derivative: signal}, as further outputs."""
+        """Returns the model with time derivatives of output signals as additional outputs.
+
+        Args:
+            rates: signal to differentiate, by the name of the derivative.
+        """
         if not rates:
             return self
         index = [self.outputs.index(name) for name in rates.values()]
@@ -169,10 +181,11 @@ class LinearModel:
         return replace(self, outputs=(*self.outputs, *rates), **more)
 
     def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
-        """Returns the model with integrals of sums of output signals as further states, each an output of that name.
+        """Returns the model with integrals of sums of output signals as additional states and outputs.
 
         Args:
-            integrals: factors of the signals in each sum, by its name; no sum contains the road's height.
+            integrals: factors of the signals in each sum, by the name of the integral. The sums must not depend on the road
+                height.
         """
         if not integrals:
             return self
@@ -182,12 +195,13 @@ class LinearModel:
         return self.with_states(tuple(integrals), mix @ self.C, of_sums)
 
     def with_states(self, names: tuple[str, ...], rates: Array, more: Mapping[str, Array] | None = None) -> "LinearModel":
-        """Returns the model with k further states, each an output of its name.
+        """Returns the model with k additional states, each of which is also an output with the same name.
 
         Args:
-            names: names of the states.
-            rates: gains from the states of this model to their rates, shape (k, n), or from all states, shape (k, n + k).
-            more: rows of B, Bw, Bt, Br and Bl for their rates; zero by default.
+            names: names of the additional states.
+            rates: gains from the states to the rates of the additional states: from the states of this model, shape (k, n), or
+                from all states, shape (k, n + k).
+            more: rows of B, Bw, Bt, Br and Bl for the additional states; zero by default.
         """
         k, n = len(names), len(self.A)
         rows = {
@@ -203,31 +217,34 @@ class LinearModel:
         )
 
     def with_lines(self, rows: Array, push: Array, shown: Array, stiffness: Array, damping: Array) -> "LinearModel":
-        """Returns the model with springs and dampers along e lengths, f = k d + c d'.
+        """Returns the model with additional springs and dampers along e lengths, f = k d + c d'.
 
         Args:
-            rows: lengths from the states, on which neither the road nor forces act at once, shape (e, n).
-            push, shown: effect of forces that pull along them on x' and on the outputs, shapes (n, e) and (p, e).
-            stiffness, damping: k [N/m] and c [N s/m], shape (e,).
+            rows: gains from the states to the lengths, shape (e, n). Neither the road nor a force may act on them directly.
+            push: effect on x' of forces that pull along the lengths, shape (n, e).
+            shown: effect of these forces on the outputs, shape (p, e).
+            stiffness: k [N/m], shape (e,).
+            damping: c [N s/m], shape (e,).
         """
         force = stiffness[:, None] * rows + damping[:, None] * (rows @ self.A)
         return replace(self, A=self.A + push @ force, C=self.C + shown @ force)
 
     def with_inertance(self, speeds: Array, push: Array, shown: Array, inertance: Array) -> "LinearModel":
-        """Returns the model with inerters along e lengths, f = b d'', in parallel to all its forces.
+        """Returns the model with additional inerters along e lengths, f = b d'', in parallel with all its forces.
 
-        With d' = S x and the effect E of the forces, a force p = b S (x' + E p) of inerters is (1 - b S E)^-1 b S x', where x' is
-        the rate without inerters.
+        With d' = S x and the effect E of the forces, the inerters give the force p = b S (x' + E p) = (1 - b S E)^-1 b S x',
+        where x' is the rate without inerters.
 
         Args:
-            speeds: S, shape (e, n).
-            push, shown: effect of forces that pull along them on x' (E) and on the outputs, shapes (n, e) and (p, e).
+            speeds: S, gains from the states to the rates of the lengths, shape (e, n).
+            push: E, effect on x' of forces that pull along the lengths, shape (n, e).
+            shown: effect of these forces on the outputs, shape (p, e).
             inertance: b [kg], shape (e,).
         """
         if not inertance.any():
             return self
         b = np.diag(inertance)
-        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per x'
+        of_rates = np.linalg.solve(np.eye(len(b)) - b @ speeds @ push, b @ speeds)  # p per unit of x'
         moved: dict[str, Array] = {}
         for acting, direct in (("A", "C"), ("B", "D"), ("Br", "Cr"), ("Bl", "Dl"), ("Bt", "Dw")):
             pull = of_rates @ getattr(self, acting)
@@ -235,19 +252,22 @@ class LinearModel:
         return replace(self, Bw=self.Bw + push @ (of_rates @ self.Bw), **moved)
 
     def geared(self, ratios: Array) -> "LinearModel":
-        """Returns the model whose inputs act on the vehicle times a ratio each, shape (m,); as outputs they stay themselves."""
+        """Returns the model whose inputs act on the vehicle multiplied by a motion ratio each, shape (m,).
+
+        Output signals that are inputs are not multiplied.
+        """
         if np.all(ratios == 1):
             return self
         own = np.array([[output == force for force in self.inputs] for output in self.outputs])
         return replace(self, B=self.B * ratios, D=np.where(own, self.D, self.D * ratios))
 
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
-        """Returns the model with lagging actuators: its inputs are the requested forces, the acting ones are states.
+        """Returns the model with actuator lag: the inputs are the requested forces, and the actual forces are states.
 
-        Each follows f' = bandwidth (u - f), and f replaces the control force u in all signals.
+        Each force f follows f' = bandwidth (u - f), and f replaces the control force u in all signals.
 
         Args:
-            bandwidth: corner frequency of every actuator [rad/s]; None for forces without lag, as in this model.
+            bandwidth: corner frequency of every actuator [rad/s]; None for actuators without lag, as in this model.
         """
         if bandwidth is None:
             return self
@@ -266,10 +286,10 @@ class LinearModel:
         )
 
     def rows(self, signals: Sequence[str]) -> tuple[Array, Array]:
-        """Returns the rows of C and D of some output signals, shapes (k, n) and (k, m).
+        """Returns the rows of C, shape (k, n), and of D, shape (k, m), for k output signals.
 
         Raises:
-            InputError: the vehicle does not have such a signal.
+            InputError: the vehicle does not have one of these signals.
         """
         for signal in signals:
             if signal not in self.outputs:

@@ -1,34 +1,39 @@
-"""Links between body and wheels: the axes about which a body turns, and the share of a load that springs do not carry.
+"""Suspension links: the axes about which a body rotates, and the share of a load that the springs do not carry.
 
-Heights are over the ground. With roll centres the body rolls about the axis through both. At the centre of mass this axis is at
+Heights are above the ground. If a car has roll centres, the body rolls about the axis through both. At the centre of mass, this
+axis has the height
 
     h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (axle distances l, their sum L).
 
-The body's inertia about it is I_x + m_s b^2. Its weight sways out by b phi and turns it by m_s g b phi. In a steady curve, over
-rigid tyres or with roll centres on the ground,
+The moment of inertia of the body about this axis is I_x + m_s b^2. At the roll angle phi, the weight is displaced by b phi to
+the side and has the moment m_s g b phi. In steady-state cornering, on rigid tyres or with roll centres on the ground,
 
     phi = m_s a b / (K - m_s g b)
 
-with the stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
-Milliken, Race Car Vehicle Dynamics, ch. 18). With a pitch centre the body pitches about an axis at its height likewise. Both axes
-are level and keep their place over the ground: no tyre slips sideways, and a tyre yields upright alone. The links guide every
-wheel, so that a suspension's deflection is z - x theta + y phi - z_u at any angle.
+with the roll stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
+Milliken, Race Car Vehicle Dynamics, ch. 18). If there is a pitch centre, the body pitches about an axis at its height in the
+same way. Both axes are horizontal and do not move relative to the ground: no tyre slips sideways, and tyres deflect only
+vertically. The links guide every wheel, so a suspension has the deflection z - x theta + y phi - z_u at any angle.
 
-Links carry a horizontal force F on the body to the tyres. For a lateral force each axle takes the share s, the other's distance
-over L. Its outer wheels gain s F h_axle / track by the links. A lengthways force moves the load F h / L from axle to axle. The
-share of an axle's part that links carry is its `anti_...`. The front has the share b_f of the braking force, and beta is the
-slope of a line to the instant centre of the side view. Then (Gillespie, ch. 7; Milliken, ch. 17), where the rear wheels drive,
+Links transmit a horizontal force F on the body to the tyres. Each axle takes the share s of a lateral force: the distance of
+the other axle from the centre of mass, divided by L. Through the links, the load on the outer wheels of the axle increases by s
+F h_axle / track. A longitudinal force transfers the load F h / L between the axles. The parameter `anti_...` of an axle is the
+share of its load transfer that the links carry. The front axle has the share b_f of the braking force. Let beta be the slope
+angle of a line to the instant centre in side view. Then (Gillespie, ch. 7; Milliken, ch. 17), for rear-wheel drive,
 
-    anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L / h.
+    anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L /
+    h.
 
-The line begins at the tyre's contact if links hold the wheel's torque: of brakes at the wheel, and of a solid axle that drives.
-It begins at the wheel's centre if the body holds the torque: of inboard brakes, and of an independently sprung wheel that drives.
-The vehicle file has the shares themselves, so that both are possible.
+The line begins at the tyre contact point if the links react the wheel torque. Examples are brakes at the wheel and a driven
+solid axle. The line begins at the wheel centre if the body reacts the torque. Examples are inboard brakes and a driven wheel
+with independent suspension. Vehicle files contain the shares themselves, so both cases are possible.
 
-Such a link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
-times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.
+Such a link pushes the body at its axle, and the wheels of this axle in the opposite direction. The inertia of the wheels does
+not push the body. The inertial force of m_u at its height is a moment on the tyres: of one axle in cornering, of both axles in
+braking.
 
-A half-car in the roll plane has a single axle. It rolls about its roll centre, and its links carry the whole lateral force.
+A half-car in the roll plane has a single axle. Its body rolls about its roll centre, and its links carry the whole lateral
+force.
 """
 
 from collections.abc import Collection, Sequence
@@ -38,7 +43,7 @@ from models.kinds.kind import BodyLoad, Parameter, Parameters
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, WHEEL_LOAD
 
 AXLES, SIDES = ("front", "rear"), ("left", "right")
-LOWEST, HIGHEST = -2.0, 3.0  # m, of an axis, which may lie below the ground; and of a share
+LOWEST, HIGHEST = -2.0, 3.0  # range of the height of an axis [m], which may lie below the ground, and of a share
 UNDER = {"brakes": ("anti_dive_front", "anti_lift_rear"), "power": ("anti_lift_front", "anti_squat_rear")}
 
 
@@ -68,7 +73,10 @@ LENGTHWAYS = (
 
 
 def arms(p: Parameters) -> tuple[float | None, float | None]:
-    """Returns the heights of the centre of mass over pitch and roll axis [m]; None for an axis that the vehicle file lacks."""
+    """Returns the heights of the centre of mass above the pitch axis and above the roll axis [m].
+
+    A height is None if the vehicle file does not define the axis.
+    """
     pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
     if ROLL_CENTRE.name in p:
         return pitch, p["centre_height"] - p[ROLL_CENTRE.name]
@@ -79,17 +87,18 @@ def arms(p: Parameters) -> tuple[float | None, float | None]:
 
 
 def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
-    """Returns the loads on the wheels at these corners; none if links and wheels' own mass are not in the vehicle file."""
+    """Returns the loads on the wheels at these corners; none if the vehicle file describes neither links nor wheel centres."""
     carrying = any(part.name in p for part in (ROLL_CENTRE, WHEEL_CENTRE, *ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
     return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
 
 
 def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m].
+    """Returns the loads that links and wheel inertia add to the moment of a force on the body, by name [N, N m].
 
     Args:
-        corners: names of the corners, an axle's or with its side.
-        way: `roll_load` for a force to the right, `pitch_load` for one forwards.
+        p: parameters of the vehicle.
+        corners: names of the corners: an axle, with or without a side.
+        way: direction of the force: `roll_load` for a force to the right, `pitch_load` for a forward force.
         force: force on the body at its centre of mass [N]: inertial force or wind.
         acceleration: acceleration whose inertial force on the wheels has the same direction [m/s2]; 0 for wind.
     """
@@ -118,7 +127,7 @@ def carried_loads(p: Parameters, corners: Sequence[str], way: str, force: float,
 
 
 def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float]:
-    """Returns the loads of `carried_loads` on two wheels in a cross-section, whose links carry the whole force."""
+    """Returns the result of `carried_loads` for two wheels in a cross-section, whose links carry the whole force."""
     moment = force * p.get(ROLL_CENTRE.name, 0.0)
     own = sum(p[f"unsprung_mass_{side}"] for side in SIDES) * acceleration * p.get(WHEEL_CENTRE.name, 0.0)
     gained = (moment + own) / track("", p)
@@ -126,10 +135,10 @@ def _across(p: Parameters, force: float, acceleration: float) -> dict[str, float
 
 
 def track(axle: str, p: Parameters) -> float:
-    """Returns the distance of an axle's wheels [m], from `track_AXLE` or, if that is not given, from `track`.
+    """Returns the track width of an axle [m], from `track_AXLE` or, if this is not given, from `track`.
 
     Raises:
-        InputError: neither is given.
+        InputError: neither parameter is given.
     """
     if (own := p.get(f"track_{axle}", p.get("track"))) is None:
         raise InputError(f"the distance of left and right wheels is missing; give track or track_{axle}, in m")
@@ -137,7 +146,12 @@ def track(axle: str, p: Parameters) -> float:
 
 
 def left_out(p: Parameters, angles: Collection[str]) -> str:
-    """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
+    """Returns a sentence about the moments of the body's weight that the model neglects; empty if it neglects none.
+
+    Args:
+        p: parameters of the vehicle.
+        angles: names of the angles of the body.
+    """
     axes = (("rolls", "roll_angle", (ROLL_CENTRES[0], ROLL_CENTRE)), ("pitches", "pitch_angle", (PITCH_CENTRE,)))
     turning = [turns for turns, angle, parts in axes if angle in angles and not any(part.name in p for part in parts)]
     how = " and ".join(turning)
@@ -159,6 +173,6 @@ def _distances(p: Parameters) -> list[float]:
 
 
 def _shares(p: Parameters) -> list[float]:
-    """Returns each axle's share of a sideways force at the centre of mass."""
+    """Returns the share of each axle in a lateral force at the centre of mass."""
     front, rear = _distances(p)
     return [rear / (front + rear), front / (front + rear)]

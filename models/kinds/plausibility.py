@@ -1,7 +1,7 @@
-"""Numbers of vehicles and roads that are probably in another unit, or swapped: a table of rules.
+"""Rules that find numbers of vehicles and roads that probably have the wrong unit, or are swapped.
 
-Limits are relative to the vehicle where trucks, bicycles and model-scale test benches differ. `models.parts.plausibility`
-has the remarks on curves.
+The limits are relative to the vehicle if trucks, bicycles and model-scale test benches differ in the quantity.
+`models.parts.plausibility` contains the warnings about characteristics.
 """
 
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class KnownQuantity(NamedTuple):
-    """Quantity of a vehicle or a road, as a remark shows it: its name, value and unit."""
+    """Quantity of a vehicle or road in the form in which a warning shows it: name, value and unit."""
 
     name: str
     value: float
@@ -34,13 +34,13 @@ class KnownQuantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Rule:
-    """Condition under which quantities are remarked.
+    """Rule for a warning about quantities.
 
     Attributes:
-        of: names of the quantities, which are known at a place of the vehicle.
-        odd: their values -> True if they are improbable.
-        words: remark, with the quantities by name.
-        rank: a rule is silent if another rule, whose rank is lower but not 0, has a remark.
+        of: names of the quantities, which must all be known at the same place of the vehicle.
+        odd: function of the values: True if they are improbable.
+        words: text of the warning, with the names of the quantities in braces.
+        rank: a rule gives no warning if another rule with a lower rank, other than 0, already gives a warning.
     """
 
     of: str
@@ -49,9 +49,10 @@ class Rule:
     rank: int = 0
 
 
-MOST_ERROR = {"m": 0.05, "m/s": 1.0, "m/s2": 10.0, "rad": 0.1, "rad/s": 1.0}  # rms or resolution of a sensor, by unit
+# Largest plausible rms noise or resolution of a sensor, by unit
+MOST_ERROR = {"m": 0.05, "m/s": 1.0, "m/s2": 10.0, "rad": 0.1, "rad/s": 1.0}
 KG, STIFFNESS, DAMPING = "check that masses are in kg", "check that stiffness is in N/m", "check that the damping is in N s/m"
-# The quantities of a rule belong to the same place: a suspension, a pair of axles, a sensor, a road.
+# The quantities of a rule belong to the same place: a suspension, a pair of axles, a sensor or a road.
 RULES = (
     Rule("times high low", lambda times, *_: times > 50,
          "{high.name} is {times.rough} times {low.name}; are both in {low.unit}?", 1),
@@ -91,14 +92,14 @@ RULES = (
     Rule("speed", lambda speed: speed > 70, '{speed} is above 70 m/s; check that it is in m/s, or give "90 km/h", for example'),
     Rule("obstacle", lambda height: height > 0.5, "{obstacle} is above 0.5 m; check that it is in m"),
 )  # fmt: skip
-NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # of the quantities of each rule, in their order
+NAMES = [dict.fromkeys(rule.of.split()) for rule in RULES]  # names of the quantities of each rule, in the order of its arguments
 
 
 def remarks(places: Iterable[Mapping[str, KnownQuantity]]) -> list[str]:
-    """Returns a remark for each rule that holds at a place: that of the first such place.
+    """Returns one warning for each rule that finds improbable quantities at some place, namely the first such place.
 
     Args:
-        places: the known quantities at each place, by the names that rules have for them.
+        places: the known quantities at each place, by the names that the rules use.
     """
     places, said, first = list(places), list[str](), 9
     for rule, names in zip(RULES, NAMES, strict=True):
@@ -117,10 +118,10 @@ CORNER = {  # quantities at a suspension: the beginning of a parameter's name, a
 
 
 def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
-    """Yields the quantities of a vehicle by place, with the names that `RULES` has for them.
+    """Yields the quantities of a vehicle, place by place, by the names that `RULES` uses.
 
-    For the body, springs and dampers of all corners count together first, so its frequency and damping ratio are rough. Curves of
-    dampers do not count: `suspension_doubts` remarks on them.
+    The first place is the body. Springs and dampers of all corners count together there, so its frequency and damping ratio are
+    approximate. Dampers with a characteristic are omitted here; `suspension_doubts` checks them.
 
     Args:
         vehicle: the `Vehicle`.
@@ -137,7 +138,8 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
         if corners := sorted((value, name) for name, value in p.items() if name.startswith(start)):
             (low, low_name), (high, high_name) = corners[0], corners[-1]
             yield _known_quantities(high=(high_name, high, unit), low=(low_name, low, unit), times=("", high / low, ""))
-    firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()  # of those with the same numbers
+    # One suspension of those with the same parameters
+    firsts = {part.stiffness: part.deflection for part in reversed(kind.suspensions)}.values()
     lines = [_of_elements(vehicle, deflection) for deflection in firsts]
     k, c = (
         sum(value for name, value in p.items() if name.startswith(CORNER[of][0])) + sum(line[i] for line in lines)
@@ -170,13 +172,13 @@ def known_quantities(vehicle: Any) -> Iterator[dict[str, KnownQuantity]]:
 
 
 def _of_elements(vehicle: Any, deflection: str) -> tuple[float, float]:
-    """Returns stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension, by their lines at rest."""
+    """Returns the linearised stiffness [N/m] and damping [N s/m] of the elements of `[parts]` at a suspension."""
     lines = [one.added_line for one in vehicle.parts if one.element and one.deflection == deflection] if vehicle.elements else []
     return sum(float(line.stiffness) for line in lines), sum(float(line.damping) for line in lines)
 
 
 def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> dict[str, KnownQuantity]:
-    """Returns the quantities at a suspension; `p` has the parameters at the wheel that are not 0."""
+    """Returns the quantities at a suspension. `p` contains the parameters at the wheel that are not 0."""
     kind, damper, strokes = vehicle.kind, vehicle.dampers.get(part.force), vehicle.parts.strokes.get(part.deflection, {})
     r, load = part.motion_ratio(vehicle.parameters), kind.static_loads(vehicle.parameters).get(part.deflection, 0.0)
     names = {of: kind.of_corner(start, part.ending) for of, (start, _) in CORNER.items()}
@@ -203,7 +205,7 @@ def _at_suspension(vehicle: Any, part: "Suspension", p: Mapping[str, float]) -> 
 
 
 def _known_quantities(**quantities: tuple[str, float | None, str]) -> dict[str, KnownQuantity]:
-    """Returns quantities, each with its name, value and unit, without those that are None or 0."""
+    """Returns the quantities by name, without those that are None or 0. Each value has a name, a value and a unit."""
     return {of: KnownQuantity(name, value, unit) for of, (name, value, unit) in quantities.items() if value}
 
 

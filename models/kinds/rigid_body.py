@@ -1,33 +1,37 @@
-"""Rigid body on several corners, the common part of half-cars and a full car. A half-car lacks pitch or roll.
+"""Rigid body on several corners: the equations that half-cars and full cars have in common. A half-car lacks pitch or roll.
 
-Axes are those of ISO 8855: x forward, y to the left, z up; pitch is positive nose down, roll is positive right side down. With
-heave z, pitch theta and roll phi of the body, small, its height above corner i is s_i = z - x_i theta + y_i phi, or s = S q. In
-the manner of the paper's (28), with the suspension's force f_i up on the body,
+The axes are those of ISO 8855: x forward, y to the left, z up. Pitch is positive nose down, roll is positive right side down.
+The modes of the body are heave z, pitch theta and roll phi, all small: q = (z, theta, phi). The height of the body above corner
+i is s_i = z - x_i theta + y_i phi, or s = S q. In the notation of the paper's (28), with the suspension force f_i upward on the
+body,
 
     d = S q - z_u,     t = z_u - z_r,     f = -K_s d - C_s d' + u,
     M q'' = S' f + l,      m_u z_u'' = -f - K_u t,
 
-with loads l on the body, a force and moments. The state is made of relative displacements and velocities: x = (d, P t, q', z_u').
+where d and t are the deflections of suspensions and tyres, and l contains the loads on the body, a force and moments. The state
+consists of relative displacements and of velocities: x = (d, P t, q', z_u').
 
-An anti-roll bar is a torsion spring between body and axle: it turns by the angle a = (d_left - d_right) / track that the body
-rolls over its axle, and its moment k a is a pair of forces at the two wheels. So K_s, which is diagonal without bars, has
-k (e_l - e_r)(e_l - e_r)' / track^2 in it.
+An anti-roll bar is a torsion spring between body and axle. Its angle is the roll angle of the body relative to the axle,
+a = (d_left - d_right) / track. Its moment k a is a pair of forces at the two wheels. K_s is diagonal without bars; each bar
+adds k (e_l - e_r)(e_l - e_r)' / track^2.
 
-Four wheels on a rigid body are one too many for this. Let n be the twist that no rigid body follows (n' S = 0). Then
-n' (d + t + z_r) = 0 for ever: the twist of the road acts as a displacement, not only as a velocity. So the states hold the tyre
-deflections only as the modes P t that a rigid body can follow, and the twist of the road enters beside them:
+A rigid body cannot follow every motion of four wheels. Let n be the warp motion that it cannot follow (n' S = 0). Then
+n' (d + t + z_r) = 0 at all times, so the warp of the road acts as a displacement, not only as a velocity. The state therefore
+contains only the modes P t of the tyre deflections that a rigid body can follow. The warp of the road enters in addition:
 
-    t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1,
+    t = E (P t) - N (d + z_r),     N = e n',     [E e] = [P; n]^-1.
 
-which with P n = 0, as on axles of equal track, are E = P+ and N = n n' / n'n.
+If P n = 0, as on axles of equal track width, then E = P+ and N = n n' / n'n.
 
-Every wheel carries its own vertical slide, and the struts stand upright at rest, with their upper ends at the height of the
-centre of mass. So the preloads add nothing to the linear model, and the MJCF departs from it with the square of the amplitude.
+Every wheel slides vertically. The struts are upright in equilibrium, and their upper ends are at the height of the centre of
+mass. For this reason, the preloads have no effect in the linear model. The MJCF differs from the linear model by terms that are
+quadratic in the amplitude.
 
-A body whose links give it a roll or a pitch axis (`links.py`) turns about that, b below its centre of mass. M has m_s b^2 more,
-and the weight has the moment W q, with m_s g b for each angle. The angles are those over level ground, q = S+ (d + t + z_r). On a
-banked road the body leans, so that the road's height acts here, too. In the MJCF the hinges lie on the axes, and the suspensions
-are fixed tendons. An upright strut would lean as the body sways, and its preload would turn the body further.
+If suspension links define a roll or pitch axis (`links.py`), the body rotates about an axis that lies b below its centre of
+mass. This adds m_s b^2 to M, and a moment W q of the weight, with m_s g b for each angle. The angles are relative to level
+ground, q = S+ (d + t + z_r). On a banked road, the body leans, so the road height acts in this case, too. In the MJCF, the
+hinges lie on the axes, and the suspensions are fixed tendons. An upright strut would lean when the body sways, and its preload
+would rotate the body further.
 """
 
 from collections.abc import Sequence
@@ -53,13 +57,13 @@ from models.kinds.signals import (
 )
 from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
-# External loads on the body, along the joints of its modes q, in their order.
+# External loads on the body along the joints of its modes q, in the order of the modes.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
 CENTRE_HEIGHT = Parameter(
     "centre_height", "m", "h, of the centre of mass above the ground; braking and cornering apply the moment m_s a h", usual=0.55
 )
 AXLES = ("front", "rear")
-LONGEST = 50.0  # m, of distances between wheels; more are millimetres
+LONGEST = 50.0  # m, largest distance between wheels; larger values are probably in mm
 
 
 def per_axle(
@@ -70,12 +74,12 @@ def per_axle(
     places: Sequence[str] = AXLES,
     **options: Any,
 ) -> tuple[Parameter, ...]:
-    """Returns a parameter of every axle, or of other places, with these further options of `Parameter`."""
+    """Returns a parameter for each axle, or for each of other places. `options` are further arguments of `Parameter`."""
     return tuple(Parameter(f"{name}_{place}", unit, f"{meaning}, {place}", positive, **options) for place in places)
 
 
 def of_half_car(places: Sequence[str]) -> tuple[Parameter, ...]:
-    """Returns the parameters of the wheels of a half-car, one at each of two axles or sides."""
+    """Returns the parameters of a half-car with one wheel at each of two axles or sides."""
     return (
         *per_axle("unsprung_mass", "kg", "m_u, mass of wheel, hub and brake", places=places),
         *per_axle("suspension_stiffness", "N/m", "k_s, spring stiffness; 0 for a purely active strut", False, places=places),
@@ -91,10 +95,14 @@ class Corner:
     """Wheel with its suspension.
 
     Attributes:
-        name: suffix of its signals and of its elements in the MJCF.
-        x, y: position from the centre of mass [m].
-        unsprung_mass, suspension_stiffness, tyre_stiffness: mass [kg] and stiffness [N/m].
-        suspension_damping, tyre_damping: damping coefficients [N s/m].
+        name: suffix of the signals, and of the MJCF elements, at this corner.
+        x: forward position relative to the centre of mass [m].
+        y: position to the left of the centre of mass [m].
+        unsprung_mass: mass of wheel, hub and brake [kg].
+        suspension_stiffness: stiffness of the spring [N/m].
+        suspension_damping: damping coefficient of the damper [N s/m].
+        tyre_stiffness: stiffness of the tyre [N/m].
+        tyre_damping: damping coefficient of the tyre [N s/m].
     """
 
     name: str
@@ -108,7 +116,14 @@ class Corner:
 
     @classmethod
     def of(cls, p: Parameters, name: str, place: str, y: float) -> "Corner":
-        """Returns a corner with the parameters of its axle, or of its side in the cross-section of the centre of mass."""
+        """Returns a corner with the parameters of its axle, or of its side for a half-car in the roll plane.
+
+        Args:
+            p: parameters of the vehicle.
+            name: name of the corner.
+            place: axle or side whose parameters apply.
+            y: position to the left of the centre of mass [m].
+        """
         x = {"front": 1.0, "rear": -1.0}.get(place, 0.0) * p.get(f"axle_distance_{place}", 0.0)
         own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
         damping = p.get(f"tyre_damping_{place}", 0.0)
@@ -120,9 +135,10 @@ class Bar:
     """Anti-roll bar of one axle.
 
     Attributes:
-        name: suffix of its tendon in the MJCF.
-        left, right: indices of its corners.
-        stiffness: moment per angle by which the body rolls over the axle [N m/rad].
+        name: suffix of the bar's tendon in the MJCF.
+        left: index of the left corner.
+        right: index of the right corner.
+        stiffness: moment per roll angle of the body relative to the axle [N m/rad].
     """
 
     name: str
@@ -133,22 +149,24 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """Body on corners.
+    """Rigid body on c corners.
 
     Attributes:
-        corners: c of them.
+        corners: the c corners.
         mass: sprung mass [kg].
-        pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does not
-            pitch.
+        pitch_inertia: moment of inertia about the lateral axis through the centre of mass [kg m2]; None for a body that does
+            not pitch.
         roll_inertia: moment of inertia about the longitudinal axis [kg m2]; None for a body that does not roll.
-        tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
-        twist: n, with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
+        tyre_modes: P, the modes of the tyre deflections in the state, shape (p, c).
+        twist: n, the warp motion with n' S = 0, shape (c,); zero if the body can follow every motion of the wheels.
         bars: anti-roll bars of the body.
-        pitch_arm, roll_arm: heights of the centre of mass over the axes that links give it [m]; without one it turns about its
-            centre of mass, and its weight has no moment.
-        wheel_loads: loads on its wheels.
-        seat_mass: mass on a seat above it, which is not in `mass` [kg].
-        seat_x, seat_y: place of this seat from the centre of mass [m].
+        pitch_arm: height of the centre of mass above the pitch axis that links define [m]. None if there is no such axis; the
+            body then pitches about its centre of mass, and its weight has no moment.
+        roll_arm: height of the centre of mass above the roll axis [m]; None as for `pitch_arm`.
+        wheel_loads: loads on the wheels.
+        seat_mass: mass on a seat above the body, not included in `mass` [kg].
+        seat_x: position of the seat forward of the centre of mass [m].
+        seat_y: position of the seat to the left of the centre of mass [m].
     """
 
     corners: tuple[Corner, ...]
@@ -167,58 +185,58 @@ class RigidBody:
 
     @cached_property
     def modes(self) -> tuple[int, ...]:
-        """The indices of its k modes among heave, pitch and roll."""
+        """Indices of the body's k modes: 0 for heave, 1 for pitch, 2 for roll."""
         return (0, *([1] if self.pitch_inertia is not None else []), *([2] if self.roll_inertia is not None else []))
 
     @property
     def has_axis(self) -> bool:
-        """True if links give it an axis, and guide its wheels."""
+        """True if suspension links define an axis of rotation and guide the wheels."""
         return self.pitch_arm is not None or self.roll_arm is not None
 
     @property
     def axis_offsets(self) -> Array:
-        """Horizontal displacement of the centre of mass per mode [m/m, m/rad], shape (k,)."""
+        """Horizontal displacement of the centre of mass per unit of each mode [m/m, m/rad], shape (k,)."""
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0])[list(self.modes)]
 
     def arms(self, bar: Bar) -> Array:
-        """Returns the angle of a bar per deflection of every suspension [rad/m], shape (c,)."""
+        """Returns the angle of a bar per deflection of each suspension [rad/m], shape (c,)."""
         arms = np.zeros(len(self.corners))
         arms[[bar.left, bar.right]] = np.array([1.0, -1.0]) / (self.corners[bar.left].y - self.corners[bar.right].y)
         return arms
 
     @property
     def stiffness(self) -> Array:
-        """K_s: force of every suspension per deflection of each [N/m], shape (c, c)."""
+        """K_s: force of each suspension (row) per deflection of each suspension (column) [N/m], shape (c, c)."""
         bars = [bar.stiffness * np.outer(self.arms(bar), self.arms(bar)) for bar in self.bars]
         return sum(bars, np.diag([corner.suspension_stiffness for corner in self.corners]))
 
     @property
     def shape(self) -> Array:
-        """S, the height of the body above each corner per mode, shape (c, k)."""
+        """S: height of the body above each corner (row) per mode (column), shape (c, k)."""
         x, y = np.array([[corner.x, corner.y] for corner in self.corners]).T
         columns = (np.ones(len(x)), -x, y)
         return np.stack(list(map(columns.__getitem__, self.modes)), axis=-1)
 
     @property
     def inertia(self) -> Array:
-        """M, shape (k, k)."""
+        """M: mass matrix of the body's modes, shape (k, k)."""
         about_centre = np.array([self.mass, self.pitch_inertia or 0.0, self.roll_inertia or 0.0])[list(self.modes)]
         return np.diag(about_centre + (self.mass + self.seat_mass) * self.axis_offsets**2)
 
     @property
     def weight(self) -> Array:
-        """W, the moment of the weight per angle, shape (k, k)."""
+        """W: moment of the weight per angle, shape (k, k)."""
         return np.diag((self.mass + self.seat_mass) * GRAVITY * self.axis_offsets)
 
     def static_loads(self) -> Array:
-        """Returns the load of each suspension at rest [N], shape (c,): the least-squares loads that balance the weight."""
+        """Returns the load on each suspension in equilibrium [N], shape (c,): the least-squares loads that balance the weight."""
         weight = np.zeros(len(self.inertia))
         weight[0] = self.mass * GRAVITY
         weight += self.seat_mass * GRAVITY * np.array([1.0, -self.seat_x, self.seat_y])[list(self.modes)]
         return np.linalg.pinv(self.shape.T) @ weight
 
     def static_tyre_deflection(self) -> dict[str, float]:
-        """Returns the compression of each tyre at rest [m], by its signal."""
+        """Returns the compression of each tyre in equilibrium [m], by its signal."""
         loads = zip(self.corners, self.static_loads(), strict=True)
         return {
             f"tyre_deflection_{corner.name}": float(load + corner.unsprung_mass * GRAVITY) / corner.tyre_stiffness
@@ -229,16 +247,16 @@ class RigidBody:
 def linear_model(
     body: RigidBody, states: Sequence[Signal], inputs: Sequence[Signal], disturbances: Sequence[Signal], outputs: Sequence[Signal]
 ) -> LinearModel:
-    """Returns the linear model of a body on corners.
+    """Returns the linear model of a rigid body on corners.
 
     Args:
-        body: c corners, k body modes, p tyre modes.
-        states: (d, P t, q', z_u'), c + p + k + c of them.
-        inputs: the control forces, c of them.
-        disturbances: the road velocities, c of them.
-        outputs: output signals in this order: the states, the tyre deflections unless they are states, q'', the body's velocity
-            and acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above
-            each corner, and of the wheels.
+        body: body with c corners, k modes and p tyre modes.
+        states: signals of the state (d, P t, q', z_u'), c + p + k + c of them.
+        inputs: signals of the c control forces.
+        disturbances: signals of the c road velocities.
+        outputs: output signals in this order: the states; the tyre deflections, unless they are states; and q''. Then velocity
+            and acceleration of the body above each corner, the control forces, and the accelerations of the wheels. Last, the
+            heights of the body, of the body above each corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -247,7 +265,7 @@ def linear_model(
         name: np.diag([getattr(corner, name) for corner in body.corners])
         for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness", "tyre_damping")
     }
-    # Rows of the identity pick out the parts of the state.
+    # Rows of the identity matrix select parts of the state.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
 
     E, N = np.linalg.pinv(P), np.outer(body.twist, body.twist) / (float(body.twist @ body.twist) or 1.0)
@@ -256,9 +274,10 @@ def linear_model(
         N = e * body.twist
     t = E @ Pt - N @ d
     d_dot = S @ q_dot - z_u_dot
-    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # and u
+    f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # plus u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
-    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # moves the body as it stands over level ground
+    # Acceleration of the modes due to the weight, as the body leans relative to level ground
+    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
@@ -293,7 +312,7 @@ def linear_model(
     for direct, acting in ((Cr, Br), (Dl, Bl)):
         direct[first : first + k] = acting[c + p : c + p + k]
         direct[first + k + c : first + k + 2 * c] = S @ acting[c + p : c + p + k]
-    # Heights: q = S+ (d + t + z_r) of the body, S q above the corners, t + z_r of the wheels.
+    # Heights: q = S+ (d + t + z_r) of the body, d + t + z_r above the corners, t + z_r of the wheels.
     q, held = np.linalg.pinv(S)[:1], np.eye(c) - N
     over_datum = np.vstack([q @ (d + t), d + t, t])
     C, Cr = np.vstack([C, over_datum]), np.vstack([Cr, q @ held, held, held])
@@ -323,7 +342,7 @@ def linear_model(
 
 
 def angles(body: RigidBody) -> dict[str, dict[str, float]]:
-    """Returns the body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from its heights over the corners."""
+    """Returns the body's angles [rad] as sums of signals: q = S+ (d + t + z_r), from the heights above the corners."""
     q, names = np.linalg.pinv(body.shape), [corner.name for corner in body.corners]
     turns = [("", "pitch_angle", "roll_angle")[i] for i in body.modes[1:]]
     parts = [signal.name for signal in (SUSPENSION_DEFLECTION, TYRE_DEFLECTION, ROAD_DISPLACEMENT)]
@@ -334,12 +353,20 @@ def angles(body: RigidBody) -> dict[str, dict[str, float]]:
 
 
 def wheelbase(p: Parameters) -> float:
-    """Returns the distance from the front axle to the rear one [m]."""
+    """Returns the distance between front and rear axle [m]."""
     return p["axle_distance_front"] + p["axle_distance_rear"]
 
 
 def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
-    """Raises an InputError if the radius of gyration of an inertia is larger than the size of the body [m]."""
+    """Raises an InputError if the radius of gyration of a moment of inertia is larger than the body.
+
+    Args:
+        name: name of the inertia's parameter.
+        inertia: moment of inertia [kg m2].
+        mass: mass of the body [kg].
+        size: size of the body [m].
+        of: name of this size, such as "wheelbase".
+    """
     radius = float(np.sqrt(inertia / mass))
     if radius > size:
         raise InputError(
@@ -355,7 +382,7 @@ def check_stands(body: RigidBody) -> None:
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
     try:
-        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # angle per moment, if all other modes are free
     except np.linalg.LinAlgError:
         raise InputError("the body falls over: nothing holds its weight; add springs, or omit roll and pitch centres") from None
     for i, mode in enumerate(body.modes[1:], start=1):
@@ -369,21 +396,21 @@ def check_stands(body: RigidBody) -> None:
 
 
 def write_mjcf(spec: Any, body: RigidBody) -> None:
-    """Writes a body on corners into the MjSpec of its kind: masses, places, springs and preloads.
+    """Writes a body on corners into the MjSpec of its vehicle type: masses, positions, springs and preloads.
 
-    Elements are named by corner: bodies `road_NAME` and `unsprung_NAME`, sites `suspension_NAME_bottom` and `_top`, tendons
-    `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium. An
-    anti-roll bar is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its axle. If links
-    guide the wheels, the tendons `suspension_NAME` are fixed ones, too.
+    The elements of each corner NAME are the bodies `road_NAME` and `unsprung_NAME`, the sites `suspension_NAME_bottom` and
+    `suspension_NAME_top`, and the tendons `suspension_NAME` and `tyre_NAME`. At qpos = 0, the preloads carry the weight, so
+    this is the static equilibrium. An anti-roll bar is a fixed tendon `anti_roll_bar_NAME` whose length is the angle of the
+    joint `roll` relative to the axle. If links guide the wheels, the tendons `suspension_NAME` are also fixed tendons.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass
     inertias = [own for own in (body.roll_inertia, body.pitch_inertia) if own is not None]
     sprung.inertia = [inertias[0], inertias[-1], max(inertias)]
-    # The third inertia, of a body that cannot yaw, counts where it pitches and rolls at once, with the square of the amplitude,
-    # and in the linear model not at all. No vehicle file gives it: the larger of the other two is near a car's. Any that a body
-    # with those two can have, from their difference to their sum, would move the full car's pitch acceleration by 5e-4 of its
-    # peak over a bump of 0.1 m under its left wheels, and less where it does less.
+    # The body cannot yaw, so its third moment of inertia matters only if it pitches and rolls simultaneously. The effect is
+    # quadratic in the amplitude, and zero in the linear model. Vehicle files do not contain this inertia. The larger of the other
+    # two is close to that of a car. A rigid body can have any value between the difference and the sum of the other two. Over a
+    # bump of 0.1 m under the left wheels, this range changes the full car's pitch acceleration by at most 5e-4 of its peak.
 
     if body.has_axis:
         for mode, arm in zip(body.modes[1:], body.axis_offsets[1:].tolist(), strict=True):
@@ -412,7 +439,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
 
 def _tendon_name(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
-    """Returns the tendon whose length is the deflection of a guided wheel, instead of a strut of that name."""
+    """Replaces a strut by a fixed tendon with the same name, whose length is the deflection of a guided wheel. Returns it."""
     spec.delete(spec.tendon(name))
     tendon = spec.add_tendon(name=name)
     row = body.shape[body.corners.index(corner)]

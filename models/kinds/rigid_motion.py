@@ -1,17 +1,18 @@
-"""Exact equations of motion of a rigid body on struts, however far it pitches and rolls. `rigid_body` has their linear part.
+"""Exact equations of motion of a rigid body on struts, for large pitch and roll angles. `rigid_body` has the linear equations.
 
-The body heaves by z, then turns by theta about the lateral axis, then by phi about its own longitudinal one: R = R_y R_x. Strut i
-goes from its hub, which a slide keeps at (x_i, y_i), to R (x_i, y_i, 0) on the body. With r_i the vector between both, of length
-L_i, and q = (z, theta, phi),
+The body moves vertically by z, then rotates by theta about the lateral axis, then by phi about its own longitudinal axis:
+R = R_y R_x. Strut i connects its hub, which a slide keeps at (x_i, y_i), with the point R (x_i, y_i, 0) of the body. With the
+vector r_i from hub to body, its length L_i, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
-the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and k_u
-(static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
+the strut pushes the body with J_i' p_i, and the hub downward with e_i p_i. The tyre pushes the hub upward with the larger of 0
+and k_u (static - t) + c_u (w - z_u'), where w is the road velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's
+equations are
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 
-Where links give the body axes, c below its centre of mass for pitch and b for roll, that centre is at
+If links define axes, at c below the centre of mass for pitch and at b for roll, the centre of mass is at
 
     (s sin theta, -b sin phi, z - c + s cos theta),     s = c - b (1 - cos phi).
 
@@ -19,19 +20,17 @@ With j = m s^2 + I, the kinetic energy is
 
     (m z'^2 + j theta'^2 + (I_x + m b^2) phi'^2) / 2 - m (s sin theta theta' + b sin phi cos theta phi') z',
 
-and Lagrange's equations are then
+and Lagrange's equations are
 
-    m (z'' + g) - m s sin theta theta'' - m b sin phi cos theta phi'' = Q_z + (what the products of rates leave),
+    m (z'' + g) - m s sin theta theta'' - m b sin phi cos theta phi'' = Q_z + (terms with products of rates),
     j theta'' - m s sin theta (z'' + g) = Q_theta - j' phi' theta',
-    (I_x + m b^2) phi'' - m b sin phi cos theta (z'' + g) = Q_phi + j' theta'^2 / 2,
+    (I_x + m b^2) phi'' - m b sin phi cos theta (z'' + g) = Q_phi + j' theta'^2 / 2.
 
-and the links guide every wheel, so that d_i = z - x_i theta + y_i phi - z_u without a strut's length.
+Because the links guide every wheel, d_i = z - x_i theta + y_i phi - z_u, without a strut length.
 
-A point (x, y) of the body is at z - x sin theta + y sin phi cos theta, whose time derivatives are its velocity and acceleration.
-An angular acceleration is that about an axis of the road: theta'', and phi'' cos theta - phi' theta' sin theta.
-
-An anti-roll bar has the angle a = phi - (arms) z_u and the moment k a. Nothing here comes from the MJCF but L_0, which
-the vehicle file does not say.
+A point (x, y) of the body has the height z - x sin theta + y sin phi cos theta. The time derivatives of this height are its
+velocity and acceleration. Angular accelerations are about axes fixed to the road: theta'', and phi'' cos theta - phi' theta'
+sin theta.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,25 +48,27 @@ from models.kinds.signals import Signal
 if TYPE_CHECKING:
     from models.kinds.motion import Pulls
 
-STRUT = 0.44  # m, of every strut at rest in the MJCF; the linear model does without
-SHORTEST = 0.1  # m, of a strut; further on no vehicle is one
-MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # rad of a body, and cosine of a strut's lean
-CLOSEST = 1e-15  # m, rad; where the search for the body's position ends
-MOST_TRIALS = 60  # of that search, each of which comes nearer by the size of the angles
+STRUT = 0.44  # m, length of every strut in equilibrium in the MJCF; the linear model does not use it
+SHORTEST = 0.1  # m, shortest strut for which the equations are valid
+MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # largest angle of the body [rad], and smallest cosine of a strut's inclination
+CLOSEST = 1e-15  # m, rad; the search for the position of the body ends at this step size
+MOST_TRIALS = 60  # iterations of this search; each reduces the error by a factor of the order of the angles
 
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """Equations of motion of a body on c struts with k of heave, pitch and roll. The states are q, z_u and their rates.
+    """Equations of motion of a body on c struts with k modes out of heave, pitch and roll.
+
+    The states are q, z_u and their rates.
 
     Attributes:
         body: masses, geometry and elements of the body.
         shape: S of `RigidBody`, shape (c, k).
-        yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
+        yaw_inertia: I_z [kg m2]; it matters only if a body pitches and rolls simultaneously.
         names: names of the signals: deflections of suspensions and tyres, then the rates of body and hubs.
-        further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. A body that only
-            heaves has one acceleration and height, and those of its hub.
+        further: names of other signals. First the k accelerations of the body, then the velocities and the accelerations of its
+            c points above the hubs, then the accelerations of the hubs. Last, the heights of the centre of mass, of the c
+            points and of the hubs. A body that only moves vertically has one acceleration and one height, and those of its hub.
     """
 
     body: RigidBody
@@ -78,7 +79,10 @@ class RigidMotion:
 
     @np.errstate(all="ignore")
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """See `Motion`. It searches for the position of the body with these deflections, and gives NaN without one."""
+        """See `Motion`.
+
+        A search finds the position of the body for these deflections; the result is NaN if there is no such position.
+        """
         c = len(self.shape)
         columns = np.stack([signals[name] for name in self.names], axis=-1)
         deflections, hubs = columns[:, :c], columns[:, c : 2 * c] + heights
@@ -93,7 +97,7 @@ class RigidMotion:
         return np.concatenate([q, hubs, columns[:, 2 * c :]], axis=1)
 
     def usable(self, state: Array) -> Array:
-        """See `Motion`. If a body has turned over, or a strut has no length, the struts do not determine its position."""
+        """See `Motion`. If the body has turned over or a strut has no length, the struts do not determine the position."""
         q, hubs, rates, hub_rates = self.split(state)
         with np.errstate(all="ignore"):
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
@@ -124,7 +128,7 @@ class RigidMotion:
             )
         for bar in self.body.bars:
             arms = self.body.arms(bar)
-            moment = bar.stiffness * (q[:, -1] - hubs @ arms)  # of roll, which is the last mode
+            moment = bar.stiffness * (q[:, -1] - hubs @ arms)  # roll is the last mode
             on_body[:, -1] -= moment
             on_hubs = on_hubs + moment[:, None] * arms
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
@@ -133,14 +137,14 @@ class RigidMotion:
         return self.outputs_at(state, self.rate(state, heights, inputs, pulls, loads))
 
     def outputs_at(self, state: Array, rate: Array) -> Mapping[str, Array]:
-        """Returns the signals of `outputs` in states with these rates, both of shape (T, n)."""
+        """Returns the signals of `outputs` for states and their rates, both of shape (T, n)."""
         k = self.shape.shape[1]
         q, hubs, rates, _ = self.split(state)
         _, _, second, hub_second = self.split(rate)
         turning = second.copy()
         columns, heights_now = [turning, hub_second], [q[:, :1], hubs]
         if k > 1:
-            # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
+            # Heights of the centre of mass and of the points above the hubs: z - c - x sin theta + (y sin phi + s) cos theta.
             x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
             sin, cos, side, turned, s = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
             b, over = self.body.roll_arm or 0.0, side * y + s
@@ -166,7 +170,7 @@ class RigidMotion:
         return (*modes, *(f"unsprung_{corner.name}".removesuffix("_") for corner in self.body.corners))
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """See `StoredEnergy`. Weights, linear springs of suspensions, tyres and anti-roll bars have the potential energy."""
+        """See `StoredEnergy`. Potential energy: weights, and linear springs of suspensions, tyres and anti-roll bars."""
         q, hubs, rates, hub_rates = self.split(state)
         spring, _, tyre, _, unsprung, resting = self._corners
         d, lifted = self._struts(q, hubs, rates, hub_rates)[0], q[:, 0]
@@ -184,7 +188,7 @@ class RigidMotion:
 
     @cached_property
     def _corners(self) -> tuple[Array, ...]:
-        """Stiffness and damping of suspensions, those of tyres, unsprung masses, and static loads, each of shape (c,)."""
+        """Arrays of shape (c,): stiffness and damping of suspensions, then of tyres, unsprung masses, and static loads."""
         names = ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping", "unsprung_mass")
         numbers = (np.array([getattr(corner, name) for corner in self.body.corners]) for name in names)
         return (*numbers, self.body.static_loads())
@@ -200,23 +204,25 @@ class RigidMotion:
         return M
 
     def turns(self, columns: Array) -> tuple[Array, Array]:
-        """Returns the columns of pitch and roll of some with k modes, each of shape (T,); zeros for one that the body lacks."""
+        """Returns the columns of pitch and of roll from k columns of modes, each of shape (T,); zeros for a missing mode."""
         modes = self.body.modes
         pitch, roll = (columns[:, modes.index(i)] if i in modes else np.zeros(len(columns)) for i in (1, 2))
         return pitch, roll
 
     def tilt(self, q: Array) -> tuple[Array, Array, Array, Array, Array | float]:
-        """Returns sine and cosine of theta, those of phi, and s, each of shape (T,)."""
+        """Returns the sine and cosine of theta, the sine and cosine of phi, and s, each of shape (T,)."""
         theta, phi = self.turns(q)
         c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
         return np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi), c - 2 * b * np.sin(phi / 2) ** 2 if b else c
 
     def _masses(self, sin: Array, cos: Array, side: Array, s: Array | float) -> tuple[list[Array | float], list[Array]]:
-        """Returns the inertias of pitch and roll that the body has, and their entries in the mass matrix's row of heave, each of
-        shape (T,).
+        """Returns the entries of the mass matrix for pitch and roll, each of shape (T,): inertias, and couplings with heave.
 
         Args:
-            sin, cos, side, s: sine and cosine of theta, sine of phi, and s, as `tilt` returns them.
+            sin: sine of theta, as `tilt` returns it.
+            cos: cosine of theta.
+            side: sine of phi.
+            s: s, as `tilt` returns it.
         """
         body, b = self.body, self.body.roll_arm or 0.0
         inertias, entries = list[Array | float](), list[Array]()
@@ -229,7 +235,7 @@ class RigidMotion:
         return inertias, entries
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
-        """Returns q'' under generalized forces, shape (T, k)."""
+        """Returns q'' for generalised forces, shape (T, k)."""
         mass, b = self.body.mass, self.body.roll_arm or 0.0
         if q.shape[1] == 1:
             return push / mass - GRAVITY
@@ -243,7 +249,7 @@ class RigidMotion:
         if not self.body.has_axis:
             turns = [moment / own for moment, own in zip(moments, inertias, strict=True)]
             return np.stack([lift / mass - GRAVITY, *turns], axis=-1)
-        # What the rates' products leave in the heave's row: the change of both entries.
+        # Products of rates in the equation of heave: the rates of both coupling entries.
         lift = lift + mass * (s * cos * theta_dot - b * side * phi_dot * sin) * theta_dot
         lift = lift + mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
         rows = list(zip(entries, moments, inertias, strict=True))
@@ -267,7 +273,7 @@ class RigidMotion:
             return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
         sin, cos, side, turned, _ = (np.reshape(one, (-1, 1)) for one in self.tilt(q))
-        over = side * y  # of R_x (x, y, 0) = (x, y cos, y sin)
+        over = side * y  # R_x (x, y, 0) = (x, y cos, y sin)
         along, across = x * cos + over * sin - x, y * turned - y
         rise = q[:, :1] - hubs - x * sin + over * cos
         height = STRUT + rise
@@ -278,7 +284,7 @@ class RigidMotion:
         if self.body.roll_inertia is not None:
             J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
         by_q = np.stack(J, axis=-1)
-        # Of a strut that leans by little, the difference of two lengths would lose what this keeps.
+        # For a strut with a small inclination, the difference of two lengths would lose digits; this form does not.
         upright = height > 0
         far = length + np.where(upright, height, -height)
         d = np.where(upright, (along**2 + across**2) / far, length - height) + rise
@@ -286,10 +292,12 @@ class RigidMotion:
 
 
 def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[Signal]) -> RigidMotion:
-    """Returns the equations of a body.
+    """Returns the equations of motion of a body.
 
     Args:
-        signals: deflections of its c suspensions, of its c tyres, its own rates, as many as it has, and those of its c hubs.
+        body: the body.
+        signals: signals of the c suspension deflections, the c tyre deflections, the rates of the body's modes, and the c hub
+            velocities.
         further: additional signals, as in `RigidMotion`.
     """
     inertias = [own for own in (body.pitch_inertia, body.roll_inertia) if own is not None]

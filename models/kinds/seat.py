@@ -1,4 +1,4 @@
-"""Seat with a person: its numbers, `[seat]` of a vehicle file."""
+"""Seat with a person: the section `[seat]` of a vehicle file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from models.common.schema import SI, Section, keys
 from models.kinds.kind import Parameters
 
-JOINT = "seat"  # its joint in the MJCF, and its body
+JOINT = "seat"  # name of the seat's joint and body in the MJCF
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Seat(Section):
 
     @classmethod
     def of(cls, p: Parameters) -> "Seat":
-        """Returns the seat of a vehicle that has one, from its parameters."""
+        """Returns the seat of a vehicle from its parameters."""
         return cls(**{key: p[f"seat_{key}"] for key in keys(cls) if f"seat_{key}" in p})
 
     @property
     def arms(self) -> tuple[float, float, float]:
-        """Height of its point per heave, pitch and roll of the body."""
+        """Height of the seat's mounting point per unit of heave, pitch and roll of the body."""
         return 1.0, -self.x, self.y

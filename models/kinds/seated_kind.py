@@ -1,13 +1,13 @@
 """Vehicle types with a seat: a person above a point of the body, on a spring and a damper in parallel.
 
-The mass m_p of person and seat slides along the body's own upright axis through the point (x, y), at rest at the height of the
-body's centre of mass. With the extension s of the spring, for small motions and from rest,
+The mass m_p of person and seat slides along the vertical axis of the body through the point (x, y). In equilibrium, it is at
+the height of the body's centre of mass. For small motions, the extension s of the spring relative to equilibrium follows
 
     s' = z_p' - (z' - x theta' + y phi'),     m_p z_p'' = -(k_p s + c_p s'),
 
-and the force k_p s + c_p s' lifts the body at its point. A body with a roll or a pitch axis takes the seat along sideways: the
-inertia m_p b^2 and the moment m_p g b of the weight per angle join those of the body (`rigid_body.py`). The weight of the seat is
-a part of every static load, and `sprung_mass` is the body without the seat.
+and the force k_p s + c_p s' lifts the body at this point. If the body has a roll or pitch axis, it moves the seat sideways. The
+inertia m_p b^2 and the weight moment m_p g b per angle are then added to those of the body (`rigid_body.py`). The weight of the
+seat is part of every static load; `sprung_mass` is the mass of the body without the seat.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,14 +40,16 @@ if TYPE_CHECKING:
 
 SIGNALS = (SEAT_TRAVEL, SEAT_VELOCITY, SEAT_ACCELERATION)
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
-RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_RATE.name,))  # of the body, in this order
+# Of the body, in the order of `LOADS`
+RATES = ((HEAVE_VELOCITY.name, SPRUNG_VELOCITY.name), (PITCH_RATE.name,), (ROLL_RATE.name,))
 TURNS = {"x": ("pitch_inertia", "does not pitch"), "y": ("roll_inertia", "does not roll")}
-POINT_INERTIA = 1e-12  # kg m2, of the seat in the MJCF, which MuJoCo needs above 0
-CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # m, half edges in the drawing
-SPRING = (0.2, 0.36)  # m, ends of the drawn spring above the point
-GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}  # parts of the body through which a seat is visible
-BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3  # mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE, mjOBJ_JOINT; no kind imports MuJoCo
-SENSORS = {  # mjSENS_JOINTPOS, mjSENS_FRAMELINVEL, mjSENS_FRAMELINACC; object; direction along which it is read
+POINT_INERTIA = 1e-12  # kg m2, rotational inertia of the seat in the MJCF, because MuJoCo requires a value above 0
+CUSHION, BACK = (0.22, 0.22, 0.05), (0.04, 0.22, 0.14)  # m, half edge lengths in the drawing
+SPRING = (0.2, 0.36)  # m, heights of the ends of the drawn spring above the point
+# Parts of the body that are drawn transparent, so that a seat is visible
+GLASS = {"cabin": [0.55, 0.68, 0.78, 0.25], "roof": [0.16, 0.36, 0.62, 0.25]}
+BOX, SLIDE, SITE, OF_JOINT = 6, 2, 6, 3  # mjGEOM_BOX, mjJNT_SLIDE, mjOBJ_SITE, mjOBJ_JOINT; vehicle types do not import MuJoCo
+SENSORS = {  # mjSENS_JOINTPOS, mjSENS_FRAMELINVEL, mjSENS_FRAMELINACC; type of object; measured direction
     SEAT_TRAVEL.name: (9, OF_JOINT, [1.0]),
     SEAT_VELOCITY.name: (31, SITE, [0.0, 0.0, 1.0]),
     SEAT_ACCELERATION.name: (33, SITE, [0.0, 0.0, 1.0]),
@@ -55,10 +57,13 @@ SENSORS = {  # mjSENS_JOINTPOS, mjSENS_FRAMELINVEL, mjSENS_FRAMELINACC; object; 
 
 
 def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping[str, Any]) -> tuple[VehicleKind, dict[str, Any]]:
-    """Reads `[seat]`: returns the vehicle type with a seat, and the parameters with those of the seat.
+    """Reads `[seat]`.
+
+    Returns:
+        The vehicle type with a seat, and the parameters including those of the seat.
 
     Raises:
-        InputError: a key or value is not allowed, or the vehicle type carries no seat.
+        InputError: a key or value is not allowed, or the vehicle type cannot have a seat.
     """
     if kind.folder != HERE:
         raise InputError(f"[seat] is for built-in vehicle types; give {kind.name}.py a mass above the body, or omit the section")
@@ -75,7 +80,7 @@ def read_seat(section: Mapping[str, Any], kind: VehicleKind, parameters: Mapping
 
 
 def seated_kind(kind: VehicleKind) -> VehicleKind:
-    """Returns a built-in vehicle type with a seat. Its parameters begin with `seat_`, and its ride is that of the person."""
+    """Returns a built-in vehicle type with a seat. The seat's parameters begin with `seat_`; the ride is that of the person."""
     known = {one.name for one in kind.parameters}
     parameters = [
         Parameter(f"seat_{key}", one.unit, one.meaning, usual=0.0 if key in TURNS else None, smallest=one.low, largest=one.high)
@@ -90,7 +95,7 @@ def seated_kind(kind: VehicleKind) -> VehicleKind:
         write_mjcf=partial(_write_mjcf, kind.write_mjcf),
         motion=kind.motion and partial(_motion, kind.motion),
         people=(SEAT_ACCELERATION.name,),
-        invariants=(),  # these are of a vehicle without further masses
+        invariants=(),  # the invariants hold only for vehicles without further masses
     )
 
 
@@ -119,9 +124,9 @@ def _motion(of_car: Callable[[Parameters], Any], p: Parameters) -> "Motion":
 
 
 def _write_mjcf(of_car: Callable[[Any, Parameters], None], spec: Any, p: Parameters) -> None:
-    """Writes a car with a seat: a body `seat` on the body `sprung`, its joint's spring preloaded with the weight, and sensors.
+    """Writes a car with a seat: a body `seat` on the body `sprung`, its joint with the preloaded spring, and sensors.
 
-    The mass is a point at the origin of the body `seat`; cushion and back are drawn above.
+    The mass is a point at the origin of the body `seat`. Cushion and backrest are drawn above.
     """
     of_car(spec, p)
     seat, sprung = Seat.of(p), spec.body("sprung")

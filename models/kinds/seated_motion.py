@@ -1,16 +1,17 @@
-"""Exact equations of motion of a car with a seat, however far its body pitches and rolls.
+"""Exact equations of motion of a car with a seat, for large pitch and roll angles of the body.
 
-The seat's mass is at the place P(y) over the road, for y = (q, s) with q = (z, theta, phi) of the body and the seat's travel s.
-With c and b the heights of the body's centre of mass over its pitch and roll axes (`rigid_motion.py`), 0 without these,
+The coordinates are y = (q, s), with q = (z, theta, phi) of the body and the seat's travel s. The heights of the body's centre
+of mass above its pitch and roll axes are c and b (`rigid_motion.py`); they are 0 without axes. Relative to the road, the seat's
+mass is at the position P(y), where
 
     Y = y cos phi - (s + b) sin phi,     h = c - b + y sin phi + (s + b) cos phi,
     P = (x cos theta + h sin theta,  Y,  z - c - x sin theta + h cos theta).
 
-With its Jacobian J and P'' = J y'' + a, Lagrange's equations of body and seat are
+With the Jacobian J of P, and P'' = J y'' + a, Lagrange's equations of body and seat are
 
     (M + m J' J) y'' = (Q - ...) + (0, m g - k s - c_p s') - m J' (a + g e_z),
 
-where M and the first term are the body's own, under the static loads of body and seat.
+where M and the first term are those of the body alone, with the static loads of body and seat.
 """
 
 from collections.abc import Mapping
@@ -33,10 +34,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class SeatedMotion:
-    """Equations of motion of a car with a seat. The states are q, the heights of the hubs, the seat's travel, and their rates.
+    """Equations of motion of a car with a seat.
+
+    The states are q, the hub heights, the seat's travel, and the rates of all these.
 
     Attributes:
-        car: the body's own equations, under the static loads of body and seat.
+        car: equations of the body, with the static loads of body and seat.
         seat: the seat.
     """
 
@@ -93,7 +96,7 @@ class SeatedMotion:
         return {**self.car.outputs_at(car, of_car), SEAT_ACCELERATION.name: (J[:, 2] * turning).sum(axis=1) + bent[:, 2]}
 
     def energy(self, state: Array, heights: Array) -> Array:
-        """See `StoredEnergy`. It adds weight, spring and motion of the seat to the energy of the car."""
+        """See `StoredEnergy`. The seat's weight, spring and motion add to the energy of the car."""
         car, travel, speed = self._split(state)
         q, _, rates, _ = self.car.split(car)
         P, J, _ = self._place(q, travel, rates, speed)
@@ -106,16 +109,21 @@ class SeatedMotion:
         return self.seat.mass * GRAVITY - self.seat.stiffness * travel - self.seat.damping * speed
 
     def _split(self, state: Array) -> tuple[Array, Array, Array]:
-        """Returns the states of the car, and travel and speed of the seat."""
+        """Returns the states of the car, and the travel and the speed of the seat."""
         n = state.shape[1] // 2
         return np.delete(state, [n - 1, 2 * n - 1], axis=1), state[:, n - 1], state[:, -1]
 
     def _place(self, q: Array, travel: Array, rates: Array, speed: Array) -> tuple[Array, Array, Array]:
-        """Returns the seat's place P [m], shape (T, 3), its Jacobian J, shape (T, 3, k + 1), and a = P'' - J y'', (T, 3).
+        """Returns the position P of the seat [m], its Jacobian J, and a = P'' - J y''.
 
         Args:
-            q, rates: modes of the body and their rates, shape (T, k).
-            travel, speed: extension of the seat's spring and its rate, shape (T,).
+            q: modes of the body, shape (T, k).
+            travel: extension of the seat's spring [m], shape (T,).
+            rates: rates of the modes, shape (T, k).
+            speed: rate of the extension [m/s], shape (T,).
+
+        Returns:
+            Arrays of shape (T, 3), (T, 3, k + 1) and (T, 3).
         """
         car, x, y = self.car, self.seat.x, self.seat.y
         sin, cos, side, turned, _ = car.tilt(q)
@@ -132,7 +140,8 @@ class SeatedMotion:
         along = np.stack([turned * sin, -side, turned * cos], axis=-1)
         J = np.stack([*(by_each[mode] for mode in car.body.modes), along], axis=-1)
         h_dot = Y * roll_rate + turned * speed
-        bent = -rise * roll_rate**2 - 2 * side * roll_rate * speed  # of h
+        # Second derivative of h, without the terms of angular accelerations
+        bent = -rise * roll_rate**2 - 2 * side * roll_rate * speed
         a = [
             -(x * cos + h * sin) * pitch_rate**2 + 2 * h_dot * cos * pitch_rate + bent * sin,
             -Y * roll_rate**2 - 2 * turned * roll_rate * speed,

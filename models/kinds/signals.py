@@ -1,4 +1,4 @@
-"""Table of signal names, which the linear model, the MJCF, vehicle files, logs and plots share."""
+"""Table of signals. Linear models, MJCF, vehicle files, logs and plots all use these names."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -9,11 +9,11 @@ from models.common.checks import CheckedFields
 
 @dataclass(frozen=True)
 class Signal(CheckedFields):
-    """Named quantity, measured from static equilibrium.
+    """Named quantity, measured relative to static equilibrium.
 
     Attributes:
-        name: the name in all models, files and plots.
-        symbol: symbol in the paper, or in the field.
+        name: name in all models, files and plots.
+        symbol: symbol in the paper, or the usual symbol.
         unit: SI unit.
         meaning: description in one line, with the sign convention.
     """
@@ -26,11 +26,11 @@ class Signal(CheckedFields):
     meaning: str
 
     def at(self, corner: str) -> "Signal":
-        """Returns the signal at one corner of a vehicle that has several, e.g. `tyre_deflection_front`."""
+        """Returns the signal at one corner of a vehicle with several corners, such as `tyre_deflection_front`."""
         return _at(self, corner)
 
 
-@lru_cache(maxsize=256)  # checking a signal's fields takes longer than all else that a linear model of a car does
+@lru_cache(maxsize=256)  # checking the fields of all signals takes longer than the rest of a car's linear model
 def _at(signal: Signal, corner: str) -> Signal:
     where = corner.replace("_", " ")
     return replace(
@@ -79,19 +79,23 @@ def names_of(signals: Iterable[Signal]) -> tuple[str, ...]:
     return tuple(signal.name for signal in signals)
 
 
-OWN = "own"  # unit of a controller's state, whose meaning only its law knows
-STATE_PREFIX = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
+OWN = "own"  # unit of a controller state; only the control law defines its meaning
+STATE_PREFIX = "controller_"  # prefix of controller states; no vehicle signal has this prefix
 
 
 def of_dampers(endings: Mapping[str, bool]) -> tuple["Signal", ...]:
-    """Returns the signals of adjustable dampers, by the suffix of their names; False for a damper with a voltage."""
+    """Returns the signals of semi-active dampers.
+
+    Args:
+        endings: suffix of the signal names at each damper: True for a damper with a coefficient, False for one with a voltage.
+    """
     corners = {ending.removeprefix("_"): DAMPING if own else VOLTAGE for ending, own in endings.items()}
     rows = [*((one, corner) for corner, one in corners.items()), *((MISSING_FORCE, corner) for corner in corners)]
     return tuple(signal.at(corner) if corner else signal for signal, corner in rows)
 
 
 def load_signal(name: str) -> Signal:
-    """Returns the signal of a load on the body, or on a wheel."""
+    """Returns the signal of a load on the body or on a wheel."""
     body = {one.name: one for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
     return body[name] if name in body else WHEEL_LOAD.at(name.removeprefix(f"{WHEEL_LOAD.name}_"))
 
@@ -103,5 +107,5 @@ def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
 
 
 def is_kept(signal: Signal) -> bool:
-    """Returns True if a signal is a controller's state."""
+    """Returns True if a signal is a controller state."""
     return signal.name.startswith(STATE_PREFIX)

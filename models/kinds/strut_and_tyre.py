@@ -1,40 +1,43 @@
 """Suspensions and tyres in the MJCF.
 
-A suspension is a spring preloaded with the weight at rest; without a spring, a constant force that carries it.
+A suspension is a spring that is preloaded with the static load. Without a spring, a constant force carries the load.
 
-A strut without a spring is purely active (Thompson 1976, Hrovat 1997). Its actuator then carries the weight at rest beside the
-force u of the equations, which is measured from there. `[limits]` and the actuator's lag are of u alone.
+A strut without a spring is purely active (Thompson 1976, Hrovat 1997). In addition to the static load, its actuator then
+applies the force u of the equations. The limits and the lag in `[limits]` apply only to u.
 
-A tyre is a spring that pushes and never pulls, and its damping, which acts only while the tyre is on the road.
-
-A tyre with damping pushes its hub up with
+A tyre is a spring that pushes and never pulls. Its damping acts only while the tyre touches the road. A tyre with damping
+pushes its hub upward with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
-its length l on a road that MuJoCo holds over a step, and the road's velocity z_r', likewise held. A mocap body has no velocity of
-its own, so l' is the hub's. The tyre leaves the road where its whole force ends. That is where its equivalent deflection
-t + (c / k) t', which of a tyre without damping is its deflection, exceeds the static one. In the air it neither pulls nor damps:
-its rubber is taken to return at once, without a force on the hub.
+where l is the tyre length and z_r' the road velocity. MuJoCo holds the road height over a step, so z_r' is held, too. A mocap
+body has no velocity of its own, so l' is the velocity of the hub. The tyre leaves the road when the whole force is 0. At this
+moment, the equivalent deflection t + (c / k) t' exceeds the static deflection; without damping, the equivalent deflection is
+the deflection itself. In the air, the tyre neither pulls nor damps: its rubber is assumed to return immediately, without a
+force on the hub.
 """
 
 from typing import Any
 
 from models.kinds.signals import TYRE_DEFLECTION
 
-STATIC_LOAD = "fitted_static_load_"  # prefix of the actuator with the constant force, before its tendon
-TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; no kind imports MuJoCo
+STATIC_LOAD = "fitted_static_load_"  # prefix of the name of the actuator with the constant force; the name of its tendon follows
+TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; vehicle types do not import MuJoCo
 TYRE_DAMPING = "damping of a tyre between hub and road; a tyre without contact has no damping"
-DAMPER = "fitted_damped_"  # prefix of the actuator of a tyre with damping, after its tendon
-MOST_FORCE = 1e9  # N; above any tyre's force, and below the limit at which MuJoCo reports a mistake
+DAMPER = "fitted_damped_"  # prefix of the name of the actuator of a tyre with damping; the name of its tendon follows
+MOST_FORCE = 1e9  # N; larger than any tyre force, and smaller than the limit at which MuJoCo reports an error
 
 
 def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: float, length: float = 0.0) -> None:
     """Writes a suspension into an MjSpec.
 
     Args:
-        stiffness, damping: stiffness [N/m] and damping [N s/m].
-        load: load of the weight at equilibrium [N].
-        length: length of the tendon at equilibrium [m].
+        spec: the model.
+        tendon: tendon of the suspension.
+        stiffness: spring stiffness [N/m].
+        damping: damping coefficient [N s/m].
+        load: static load [N].
+        length: length of the tendon in equilibrium [m].
     """
     tendon.stiffness[0], tendon.damping[0] = stiffness, damping
     if stiffness:
@@ -46,19 +49,23 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
 
 
 def actuator_of(tyre_deflection: str) -> str:
-    """Returns the name of the actuator of a tyre with damping, from that of its signal."""
+    """Returns the name of the actuator of a tyre with damping, from the name of the tyre deflection signal."""
     return f"{DAMPER}tyre{tyre_deflection.removeprefix(TYRE_DEFLECTION.name)}"
 
 
 def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: float) -> None:
     """Writes a tyre into an MjSpec.
 
-    Without damping its tendon is its spring. Else the tendon is only drawn, and an actuator on it has the whole force, which
-    MuJoCo evaluates in every stage of a step. The actuator's control is the road's velocity.
+    Without damping, the spring of the tendon is the tyre. With damping, the tendon only draws the tyre; an actuator on the
+    tendon applies the whole force, which MuJoCo evaluates in every stage of a step. The control of this actuator is the road
+    velocity.
 
     Args:
-        stiffness, damping: k [N/m] and c [N s/m].
-        rest: length above which it is slack [m].
+        spec: the model.
+        tendon: name of the tyre's tendon.
+        stiffness: k [N/m].
+        damping: c [N s/m].
+        rest: length above which the tyre is slack [m].
     """
     tyre = spec.tendon(tendon)
     tyre.springlength[0] = rest

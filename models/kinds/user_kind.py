@@ -1,4 +1,7 @@
-"""Vehicle types in the user's own Python: the file is run, and its equations are checked once for the parameters of a vehicle."""
+"""Custom vehicle types in the user's Python code.
+
+The file of the vehicle type is executed. For the parameters of each vehicle, its equations are checked once.
+"""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -26,11 +29,15 @@ GIVE = "give the equations of the vehicle type as in docs/how-to/custom-vehicle-
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
-    """Runs `NAME.py` of a folder and returns its `KIND`.
+    """Executes `NAME.py` in a folder and returns its `KIND`.
+
+    Args:
+        folder: folder of the file.
+        name: name of the vehicle type.
 
     Raises:
-        InputError: the file cannot be read, is not Python, fails, or has no such `KIND`. The functions of the type raise it, too,
-            if they fail, and `check_together` also if their results are wrong.
+        InputError: the file cannot be read, is not Python code, fails, or has no valid `KIND`. Functions of the vehicle type
+            also raise this error if they fail, and `check_together` also if their results are wrong.
     """
     path = folder / f"{name}.py"
     what, module = f"vehicle type {path}", ModuleType(f"roadproof_{name}")
@@ -49,15 +56,15 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
 
 def print_to_stderr(*values: Any, file: Any = None, **options: Any) -> None:
-    """Prints to stderr, for code of a user's kind: stdout is the command's, and may be JSON."""
+    """Prints to stderr. Custom vehicle types use it, because stdout belongs to the command and may be JSON."""
     print(*values, file=file or sys.stderr, **options)
 
 
 def check_parts(kind: VehicleKind) -> None:
-    """Refuses parts of a kind, other than its functions, that do not fit together. Each alone is `Checked`.
+    """Checks that the parts of a vehicle type fit together, except its functions. `CheckedFields` checks each part alone.
 
     Raises:
-        InputError: a name is used twice, or a part refers to a name that the kind does not have.
+        InputError: a name is used twice, or a part refers to a name that the vehicle type does not have.
     """
     suspended = kind.suspended or ()
     names = {
@@ -98,10 +105,10 @@ def check_parts(kind: VehicleKind) -> None:
 
 
 def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
-    """Refuses a kind whose functions give results that do not fit it.
+    """Checks that the results of a vehicle type's functions fit its names.
 
     Raises:
-        InputError: a result is of another type, or its names are not the kind's.
+        InputError: a result has the wrong type, or its names are not those of the vehicle type.
     """
     model, rest, angles = (of(parameters) for of in (kind.linear_model, kind.static_tyre_deflection, kind.angles))
     numbers = [("behind of a wheel", wheel.behind(parameters), NotNegative) for wheel in kind.wheels]
@@ -127,7 +134,7 @@ def check_equations(kind: VehicleKind, parameters: Mapping[str, float]) -> None:
 
 
 def _check_model(model: LinearModel, kind: VehicleKind) -> None:
-    """Refuses a linear model that lacks names of its kind, or whose states and inputs are not among its outputs."""
+    """Refuses a linear model that lacks names of its vehicle type, or whose states and inputs are not among its outputs."""
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     signals = {signal.name for signal in (*kind.signals, *kind.on_demand)} - driven
@@ -162,7 +169,10 @@ def _check_model(model: LinearModel, kind: VehicleKind) -> None:
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
-    """Returns the kind with functions that raise InputError if they fail, and a `check_together` that checks their results."""
+    """Returns the vehicle type with functions that raise InputError if they fail, and whose results are checked.
+
+    `check_together` of the result checks the results.
+    """
 
     def guarded(name: str, function: Callable[..., Any], refuses: bool = False) -> Callable[..., Any]:
         @wraps(function)
@@ -192,6 +202,6 @@ def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
 
 @contextmanager
 def _locate_errors(path: Path) -> Iterator[None]:
-    """Adds the file's name to an InputError."""
+    """Adds the name of the file to an InputError."""
     with error_in(f"vehicle type {path}:"):
         yield

@@ -1,1 +1,1 @@
-"""Laws of controllers: linear, semi-active, and in Python of the user's own; previews; what a controller's section asks for."""
+"""Control laws: linear, semi-active and Python laws, road preview, and the designs that a controller's section requests."""

@@ -1,13 +1,13 @@
-"""Anti-windup of a linear law: its states follow the forces that are given, where these are not the requested ones.
+"""Anti-windup of a linear law: the states follow the actual forces while these differ from the requested forces.
 
-A law as a computer runs it is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Its next states get L (clip(u[i]) - u[i])
-on top: back-calculation (Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). While nothing is clipped, this
-term is exactly zero. While all forces are clipped, the states go by A - L C, whatever A is.
+A law that a computer executes is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i]. Anti-windup adds L (clip(u[i]) - u[i])
+to its next states (back-calculation: Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). If no force is clipped,
+this term is exactly zero. While all forces are clipped, the states follow the matrix A - L C.
 
-With L all of these decay by exp(-rate T) or faster in a sample of T seconds. Poles within that circle stay where they are.
-Slower ones are mirrored at it: an integrator then decays at twice the rate. L is the gain of a Kalman filter of that degree of
-stability, in the limit of much measurement noise (Anderson, Moore 1971, Linear Optimal Control). It does the same in all units of
-the states.
+L is chosen so that all states then decay by the factor exp(-rate T) or faster in a sample period of T seconds. Poles inside
+this circle do not move. Poles outside are mirrored at the circle; an integrator, for example, then decays at twice the rate. L
+is the gain of a Kalman filter with a prescribed degree of stability, in the limit of large measurement noise (Anderson, Moore
+1971, Linear Optimal Control). The result does not depend on the units of the states.
 """
 
 import numpy as np
@@ -17,17 +17,19 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 
-SLACK = 1e-6  # a pole of A - L C further beyond the circle shows that rounding has spoilt L; smaller rates times T are refused
+# A pole of A - L C that is outside the circle by more than SLACK shows that rounding errors have spoilt L. A product of rate
+# and T below SLACK is not allowed.
+SLACK = 1e-6
 
 
 def anti_windup_gain(law: LinearLaw) -> Array:
     """Returns L of a discrete law, shape (k, m); zero without anti-windup.
 
     Args:
-        law: law as implemented, see `LinearLaw.sampled`.
+        law: law as implemented; see `LinearLaw.sampled`.
 
     Raises:
-        InputError: the rate is too small for the sample period, or a state that is too slow acts on no force, or hardly.
+        InputError: the rate is too small for the sample period, or a state that is too slow has almost no effect on the forces.
     """
     k, m = law.C.shape[1], len(law.C)
     if law.anti_windup is None or not k:
@@ -52,13 +54,13 @@ def anti_windup_gain(law: LinearLaw) -> Array:
 
 
 def _mirroring_gain(A: Array, C: Array, circle: float) -> Array:
-    """Returns the L with which A - L C has the poles of A, but for those beyond a circle, which are mirrored at it.
+    """Returns the L for which A - L C has the poles of A, with those outside a circle mirrored at the circle.
 
-    One pole or pair is mirrored after another: all at once, next to each other, they leave no digits. Corrections so far make
-    further ones dearer, so that the order does not matter.
+    Poles are mirrored one by one, or in complex pairs. Mirroring several close poles together would lose all digits. The weight
+    `dear` includes the previous corrections, so the order of the poles does not matter.
 
     Raises:
-        LinAlgError, ValueError: a pole beyond it does not show in C.
+        LinAlgError, ValueError: a pole outside the circle is not observable through C.
     """
 
     def beyond(real: float, imag: float) -> bool:

@@ -1,7 +1,7 @@
-"""The table of compatible options in a controller's section, and of the commands that accept them.
+"""Table of the options that can be combined in a controller's section, and of the commands that accept them.
 
-Two parts of a section, or a part and a command, go together unless `REFUSED_PAIRS` has a reason why not. Every message of a
-refused combination is made of this table, and so is the table of the site.
+Two parts of a section, or a part and a command, can be combined unless `REFUSED_PAIRS` gives a reason against it. The messages
+about refused combinations and the table in the documentation are generated from this table.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,7 +13,7 @@ from models.laws.design_methods import DESIGNS, FULL, GOALS, OF_STATE, PATTERNS,
 from models.laws.design_request import is_order
 from models.laws.linear import MATRICES
 
-KINDS = {  # of controllers: a section is one of them
+KINDS = {  # types of controllers; each section has exactly one of them
     "gain": "`gain`",
     "states": "`A`, `B`, `C`, `D`; `pid`",
     "steps": "the two-step design",
@@ -24,7 +24,7 @@ KINDS = {  # of controllers: a section is one of them
     "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
-DEMANDS = {  # beside a kind
+DEMANDS = {  # options that are added to a type of controller
     "stable": "`stable`",
     "fastest_pole": "`fastest_pole`",
     "anti_windup": "`anti_windup`",
@@ -38,9 +38,9 @@ DEMANDS = {  # beside a kind
     "family": "`family`",
     "force": "`control_force`",
 }
-WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
+WEIGHTS = "weights"  # errors with weights in `tolerance`; they are not a requirement on a design, so the tables omit them
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-# Columns of the site's first table:
+# Columns of the first table in the documentation:
 KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")
 FLAGS = ("stable", "noise", "lag", "sampled", "study")
 
@@ -51,7 +51,7 @@ _DESIGNED_LAWS = f"full order pid {_OTHERS}"
 _GOALS = "goals tolerance family"
 _STUDIED_LAWS = f"steps {_DESIGNED_LAWS} semi_active"
 _NO_CLAIM = "such a law is used unchanged, and linear analysis does not apply to it"
-_REASONS = (  # a part or command, the parts that it does not go with, and why
+_REASONS = (  # a part or command, the parts that it cannot be combined with, and the reason
     (
         "stable",
         f"gain states steps {_OTHERS} {_GOALS}",
@@ -106,17 +106,17 @@ ONE_KIND = "a controller has either one given law or one design method"
 
 
 def refusal(one: str, other: str) -> str:
-    """Returns the reason why two parts, or a part and a command, do not go together; empty if they do."""
+    """Returns the reason why two parts, or a part and a command, cannot be combined; empty if they can."""
     return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED_PAIRS.get(frozenset((one, other)), "")
 
 
 def goes(what: str, parts: Collection[str]) -> bool:
-    """Returns True if a part or a command goes with all parts of a section."""
+    """Returns True if a part or command can be combined with all parts of a section."""
     return not any(refusal(what, part) for part in parts)
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each as written in the section. Values are not checked."""
+    """Returns the parts of a section, each as it is written in the section. Values are not checked."""
     tolerance = section.get("tolerance")
     errors = [isinstance(one, Mapping) for one in tolerance.values()] if isinstance(tolerance, Mapping) else []
     goal_keys = [key for key in GOALS if key in section and not (key == "tolerance" and errors and all(errors))]
@@ -135,7 +135,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     if not parts and not goal_keys and not {"order", "design"} & section.keys():
         parts["steps"] = "the default two-step design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
-    of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain
+    of_law = filtered or "order" in parts  # `structure` then describes the law; it is not a goal for a static gain
     if goals := [key for key in goal_keys if not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
     parts |= {key: key for key in ("fastest_pole", "anti_windup", "family", "loads") if key in section}
@@ -148,14 +148,14 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
 
 
 def check_together(where: str, parts: Mapping[str, str]) -> None:
-    """Checks that the parts of a section go together.
+    """Checks that the parts of a section can be combined.
 
     Args:
         where: the section, for the message.
-        parts: parts of the controller's section as written in the file; kinds first.
+        parts: parts of the controller's section as written in the file; the type of the controller comes first.
 
     Raises:
-        InputError: two parts cannot be combined; the message contains the reason, and the parts that each can be combined with.
+        InputError: two parts cannot be combined. The message gives the reason, and the parts that each can be combined with.
     """
     for one, other in combinations(parts, 2):
         if why := refusal(one, other):
@@ -164,13 +164,16 @@ def check_together(where: str, parts: Mapping[str, str]) -> None:
 
 
 def check_command(where: str, parts: Mapping[str, str], command: str, error: type[InputError] = InputError) -> None:
-    """Checks that a command goes with all parts of a section.
+    """Checks that a command can be combined with all parts of a section.
 
     Args:
+        where: the section, for the message.
+        parts: parts of the section as written in the file.
         command: name of a command, a key of `COMMANDS`.
+        error: class of the error to raise.
 
     Raises:
-        InputError: the parts cannot be combined, or the `error` that is given.
+        InputError: the command cannot be combined with a part; the class of the error is `error`.
     """
     option = COMMANDS[command].strip("`")
     for part, written in parts.items():
@@ -179,7 +182,13 @@ def check_command(where: str, parts: Mapping[str, str], command: str, error: typ
 
 
 def _with_partners(part: str, beside: str, written: str) -> str:
-    """Returns a part with all that it goes with of the sort of another part, in words."""
+    """Returns a part, with a list of the alternatives to another part that it can be combined with.
+
+    Args:
+        part: the part.
+        beside: the other part.
+        written: the part as written in the section.
+    """
     if {part, beside} <= KINDS.keys():
         return written
     names = KINDS if beside in KINDS else DEMANDS

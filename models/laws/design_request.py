@@ -1,4 +1,4 @@
-"""The design of a linear law that a controller's section requests, and the structure of a law that is designed."""
+"""Request for the design of a linear law in a controller's section, and the structure of a law that is designed."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -14,10 +14,12 @@ class LawStructure:
     """Structure of a law that is designed.
 
     Attributes:
-        order: number of its states; of each force's own law where there are `rows`. 0 for PI and PID, whose pattern has its own.
-        rows: True if a measurement may act on a force, a row per force; each force then has a law of its own. None: one law.
-        kind: "pi" or "pid"; empty for a law of a given order.
-        filter: time constant of the derivative's low-pass [s]; 0 without a derivative.
+        order: number of states. With `rows`, the number applies to each force's own law. 0 for PI and PID, whose structure
+            defines the number of states.
+        rows: a row for each force, with True for each measurement that may act on this force. Each force then has its own law.
+            None for one law from all measurements to all forces.
+        kind: "pi" or "pid"; empty for a law with a given order.
+        filter: time constant of the derivative's low-pass filter [s]; 0 without a derivative.
     """
 
     order: int = 0
@@ -32,17 +34,17 @@ class LawStructure:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The key of a vehicle file that names the structure."""
+        """The structure as a key of a controller's section."""
         return {"structure": self.kind} if self.kind else {"order": self.order}
 
     def states(self, forces: int) -> int:
-        """Returns how many states a law for so many forces has at most, without those of PI and PID."""
+        """Returns the largest number of states of a law for a number of forces, without the states of PI and PID laws."""
         return self.order * (forces if self.rows is not None else 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Demands(Section):
-    """Keys of a controller's section that are the same in its `DesignRequest`."""
+    """Keys that a controller's section and a `DesignRequest` have in common."""
 
     stable: Annotated[bool, Flag("the law of full order is stable by itself")] = False
     fastest_pole: Annotated[float, SI("rad/s", "largest magnitude of the poles of the loop", high=1e9)] | None = None
@@ -51,13 +53,14 @@ class Demands(Section):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DesignRequest(Demands, LawSource):
-    """Design of a linear law, by default in the paper's two steps.
+    """Request for the design of a linear law, by default by the paper's two-step design.
 
     Attributes:
-        design: "full" for the full-order H-infinity controller, or one of `DESIGNS`; empty for a `structure` and for two steps.
-        structure: structure of the law; None for no restriction, or for a static gain.
-        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all others.
-        sampled: True if it is for the sampled loop.
+        design: "full" for the full-order H-infinity controller, or one of `DESIGNS`. Empty for a law with a `structure`, and
+            for the two-step design.
+        structure: structure of the law; None for a law without restrictions, or for a static gain.
+        preview: time by which the design `PREVIEW` knows the road ahead [s]; 0 for all other designs.
+        sampled: True for a design for the sampled loop.
     """
 
     public_name = "the design that a controller's section requests"
@@ -75,7 +78,7 @@ class DesignRequest(Demands, LawSource):
 
     @property
     def two_steps(self) -> bool:
-        """True for a static gain, designed in two steps."""
+        """True for a static gain from the two-step design."""
         return not self.design and self.structure is None
 
     @property
@@ -88,5 +91,5 @@ class DesignRequest(Demands, LawSource):
 
 
 def is_order(value: object) -> bool:
-    """Returns True for a number of states that a law may have."""
+    """Returns True if a value is an allowed number of states of a law."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_STATES

@@ -1,17 +1,19 @@
-"""Filters of a vehicle file: weights over frequency, as those of ISO 2631-1, and the shape of a road's spectrum.
+"""Filters of a vehicle file: frequency weights, such as those of ISO 2631-1, and the shape of a road spectrum.
 
-A filter is a ratio of polynomials in s, stable and proper, or several in series. Its states are those of each in controllable
-form with its own unit of time: the coefficients are those of the vehicle file but for the rounding of a quotient.
+A filter is a stable and proper ratio of polynomials in s, or several such ratios in series. The states of each ratio are in
+controllable form with its own unit of time. The coefficients are those of the vehicle file, except for the rounding error of a
+division.
 
-A weight may have one pole at 0, an integral: F(s) = r / s + F_0(s), with r its residue there and F_0 stable and proper.
+A weight may have one pole at 0, an integrator: F(s) = r / s + F_0(s), where r is the residue at 0, and F_0 is stable and
+proper.
 
-W_k and W_d of ISO 2631-1, for vertical and for horizontal vibration of seated or standing people, have constants of ISO 8041.
+W_k and W_d of ISO 2631-1, for vertical and horizontal vibration of seated or standing people, have the constants of ISO 8041.
 With w_i = 2 pi f_i,
 
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
-           * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2:
+           * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2.
 
-the band limits, the step from acceleration to velocity, and the upward step, which W_d lacks.
+The factors are the band limits, the transition from acceleration to velocity, and the upward step, which W_d does not have.
 """
 
 import functools
@@ -30,9 +32,9 @@ from models.common.errors import InputError, error_in, short_repr
 from models.common.schema import HERE, SI, Choice, ListedValues, Section
 from models.laws.linear import LinearLaw
 
-F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, of W_k
+F1, F2, F3, F4, F5, F6 = 0.4, 100.0, 12.5, 12.5, 2.37, 3.35  # Hz, constants of W_k
 Q1, Q2, Q4, Q5, Q6 = 1 / np.sqrt(2), 1 / np.sqrt(2), 0.63, 0.91, 0.91
-HORIZONTAL = 2.0  # Hz, in the place of f3 and f4 in W_d
+HORIZONTAL = 2.0  # Hz, replaces f3 and f4 in W_d
 
 Biquad = tuple[tuple[float, ...], tuple[float, ...]]  # numerator and denominator, in descending powers of s
 
@@ -59,10 +61,10 @@ WEIGHTINGS: dict[str, tuple[Biquad, ...]] = {
 
 
 POLYNOMIALS = ("numerator", "denominator")
-MOST = 12  # of a polynomial's degree: roots of higher ones move by more than rounding
-SMALLEST, LARGEST = 1e-60, 1e60  # of a coefficient: those of degree 12 at the fastest pole
-SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; others are irrelevant to roads and cars
-LEAST, MOST_GAIN = 1e-12, 1e12  # of the peak gain: beyond these rounding decides
+MOST = 12  # largest degree of a polynomial; roots of higher degrees are sensitive to rounding errors
+SMALLEST, LARGEST = 1e-60, 1e60  # range of a coefficient's magnitude: degree 12 with the fastest pole still fits
+SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, range of a pole; others are irrelevant for roads and cars
+LEAST, MOST_GAIN = 1e-12, 1e12  # range of the peak gain; outside, rounding errors dominate
 
 
 @dataclass(frozen=True)
@@ -70,13 +72,13 @@ class Filter:
     """Stable and proper filter of one signal.
 
     Attributes:
-        sections: numerator and denominator of each section in series, coefficients in descending powers of s.
-        name: name of a known filter; empty for a filter that is given by its coefficients.
+        sections: numerator and denominator of each section in series; coefficients in descending powers of s.
+        name: name of a known filter; empty for a filter with given coefficients.
         integrates: True if its only section may have a pole at 0.
 
     Raises:
-        InputError: a polynomial is wrong, too long or zero, or the filter is improper or unstable, or a pole or the gain is out
-            of range.
+        InputError: a polynomial is invalid, zero, or has a too high degree, the filter is improper or unstable, or a pole or
+            the gain is out of range.
     """
 
     sections: tuple[Biquad, ...]
@@ -90,7 +92,10 @@ class Filter:
             _check(above, below, self.integrates)
 
     def response(self, omega: Array) -> Array:
-        """Returns the frequency response, complex, shape like omega [rad/s]; 0 at a pole at 0, as an integral's mean is free."""
+        """Returns the frequency response, complex, same shape as omega [rad/s].
+
+        An integrator has the response 0 at frequency 0, because the mean of an integral is arbitrary.
+        """
         omega = np.asarray(omega, dtype=float)
         free = (omega == 0) & bool(self.residue)
         s = 1j * np.where(free, 1.0, omega)
@@ -99,24 +104,27 @@ class Filter:
 
     @functools.cached_property
     def residue(self) -> float:
-        """The factor r of the integral in the filter; 0 if it has no pole at 0."""
+        """The factor r of the integrator in the filter; 0 if the filter has no pole at 0."""
         (above, below), *_ = self.sections
         return above[-1] / below[-2] if self.integrates and not below[-1] else 0.0
 
     @functools.cached_property
     def remainder(self) -> LinearLaw:
-        """States of the filter without its integral, F_0."""
+        """State-space form of F_0, the filter without its integrator."""
         return self._states(self._remaining)
 
     @property
     def without_integral(self) -> "Filter | None":
-        """The filter F_0, without the integral; None if nothing else is left."""
+        """The filter F_0 without the integrator; None if F_0 is zero."""
         (above, _), *_ = sections = self._remaining
         return Filter(sections, self.name) if any(above) else None
 
     @functools.cached_property
     def realisation(self) -> LinearLaw:
-        """States of all sections, one after another, in units that are powers of two; that of an integral is the last."""
+        """State-space form of all sections in series, in units that are powers of two.
+
+        The state of an integrator is the last.
+        """
         if not self.residue:
             return self._states(self.sections)
         rest = self.remainder
@@ -125,7 +133,7 @@ class Filter:
 
     @property
     def _remaining(self) -> tuple[Biquad, ...]:
-        """The sections of F_0: (N - r D) / (s D) of N / (s D), whose numerator has no constant."""
+        """The sections of F_0. For N / (s D), F_0 is (N - r D) / (s D), whose numerator is divisible by s."""
         if not self.residue:
             return self.sections
         (above, below), *_ = self.sections
@@ -155,7 +163,7 @@ POLYNOMIAL = ListedValues(
 
 @dataclass(frozen=True)
 class FilterSection(Section):
-    """A filter in a vehicle file: the name of a known one, or its coefficients."""
+    """Section of a filter in a vehicle file: the name of a known filter, or its coefficients."""
 
     integrates: ClassVar[bool] = False  # True if the filter may have a pole at 0
 
@@ -200,9 +208,11 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
 
 
 def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> None:
-    """Refuses a section that is improper or unstable, or has a pole or a gain out of range.
+    """Refuses a section that is improper or unstable, or has a pole or gain out of range.
 
     Args:
+        above: numerator coefficients.
+        below: denominator coefficients.
         integrates: True if one pole may be 0.
     """
     if len(above) > len(below):
@@ -230,7 +240,7 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
 
 
 def _decays(polynomial: Sequence[float]) -> bool:
-    """Returns True if all roots lie left of the imaginary axis, by Routh's array in rational numbers, without rounding."""
+    """Returns True if all roots are left of the imaginary axis, by the Routh array in exact rational arithmetic."""
     sign = 1 if polynomial[0] > 0 else -1
     exact = [sign * Fraction(one) for one in polynomial]
     above, below = exact[0::2], exact[1::2]
@@ -244,7 +254,7 @@ def _decays(polynomial: Sequence[float]) -> bool:
 
 
 def _controllable(above: Sequence[float], below: Sequence[float]) -> LinearLaw:
-    """Returns the controllable form of a section, with a unit of time from its poles, and balanced states."""
+    """Returns the controllable form of a section, with a unit of time chosen from its poles, and balanced states."""
     k = len(below) - 1
     a = np.array(below) / below[0]
     b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]
@@ -262,7 +272,7 @@ def _controllable(above: Sequence[float], below: Sequence[float]) -> LinearLaw:
 
 
 def _text(polynomial: Sequence[float]) -> str:
-    """Writes a polynomial in s."""
+    """Returns a polynomial in s as text."""
     terms = []
     for power, one in zip(range(len(polynomial) - 1, -1, -1), polynomial, strict=True):
         s = "" if not power else "s" if power == 1 else f"s^{power}"

@@ -1,4 +1,4 @@
-"""Goals of a design from a controller's section: objective, bounds, tolerances, family and structure.
+"""Design goals in a controller's section: objective, bounds, tolerances, family and structure.
 
 minimise = { signals = "performance", band = [4.0, 8.0], over = "worst" }
 bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }]
@@ -37,20 +37,23 @@ EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
 CORNER = "corner"
 PERFORMANCE = "performance"
-FORCE = "force"  # in a tolerance: all actuators' forces
+FORCE = "force"  # key of a tolerance for the forces of all actuators
 SMALLEST = 1e-9
-HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
+HIGHEST = 1e6  # Hz, largest frequency of a band, far above all dynamics of a vehicle
 OVER = (
     f'; "{WORST}" is the largest norm in the family, "{REGRET}" the largest ratio of a vehicle\'s norm to its own smallest norm'
 )
 EITHER = " as a relative error (0.1 is 10 %), or a table { weight = ... } for an error that depends on frequency"
-ERROR = SI("1", "", 0.0, 0.9, EITHER)  # a sensor that may be off by its whole reading says nothing
+ERROR = SI("1", "", 0.0, 0.9, EITHER)  # a sensor with a relative error of 1 would carry no information
 COEFFICIENTS = ", or numerator and denominator as coefficients in descending powers of s"
-WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # of an error that is the same at all frequencies
+WEIGHT = SI("1", "", 1e-6, 1e6, COEFFICIENTS)  # weight of an error that is equal at all frequencies
 
 
 def _weighted_signals(value: Any, context: Mapping[str, Any]) -> dict[str, float] | None:
-    """Returns the weights of a norm by signal, all 1 for a signal or a list of signals, or None for z of `[performance]`."""
+    """Returns the weights of a norm by signal; all weights are 1 for a signal or a list of signals.
+
+    Returns None for the output z of `[performance]`.
+    """
     if value == PERFORMANCE:
         return None
     names = [value] if isinstance(value, str) else value
@@ -89,12 +92,12 @@ class NormOf(Section):
 
     @property
     def narrow(self) -> bool:
-        """True for a norm in a band, False for all frequencies."""
+        """True for a norm in a frequency band, False for all frequencies."""
         return self.band != EVERYWHERE
 
     @property
     def rates(self) -> tuple[float, float]:
-        """The band [rad/s]."""
+        """The band as angular frequencies [rad/s]."""
         low, high = self.band
         return 2 * math.pi * low, 2 * math.pi * high
 
@@ -109,7 +112,7 @@ class NormOf(Section):
 
 @dataclass(frozen=True)
 class Minimise(NormOf):
-    """The norm that is minimised, and how the vehicles of a family count."""
+    """The norm that is minimised, and how the norms of a vehicle family are combined."""
 
     over: Annotated[str, Choice("value over a family that is minimised", (WORST, REGRET), OVER)] = WORST
 
@@ -122,7 +125,7 @@ def _signal(value: Any, context: Mapping[str, Any]) -> str:
 
 
 def _magnitude(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns the largest magnitude of the signal of a bound, written in the unit of this signal, in SI units."""
+    """Returns the largest magnitude of the signal in a bound [SI]. The file gives it in the unit of the signal."""
     signal = context.get("peak", context.get("energy_peak"))
     return SI(context["signals"].get(signal, "1"), low=SMALLEST).number(HERE, value)
 
@@ -139,7 +142,7 @@ class NormBound(NormOf):
 
 @dataclass(frozen=True)
 class PeakBound(Section):
-    """Upper bound on a signal's largest magnitude over a road."""
+    """Upper bound on the peak magnitude of a signal over a road."""
 
     peak: Annotated[str, ReadBy("signal whose largest magnitude over a road has a bound", _signal, allowed=TEXT)]
     at_most: AtMost
@@ -149,7 +152,7 @@ class PeakBound(Section):
 
 @dataclass(frozen=True)
 class EnergyBound(Section):
-    """Upper bound on a signal's largest magnitude over all roads of given energy."""
+    """Upper bound on the peak magnitude of a signal over all roads with a given energy."""
 
     energy_peak: Annotated[
         str, ReadBy("signal whose largest magnitude over all roads of an energy has a bound", _signal, allowed=TEXT)
@@ -160,14 +163,14 @@ class EnergyBound(Section):
 
 @dataclass(frozen=True)
 class DecayBound(Section):
-    """Bound on the poles, which lie to the left of minus this rate."""
+    """Bound on the poles: their real parts are below minus this rate."""
 
     decay: Annotated[float, SI("rad/s", "smallest rate of decay of the loop", SMALLEST)]
 
 
 @dataclass(frozen=True)
 class GainBound(Section):
-    """Upper bound on the size of the gain's entries."""
+    """Upper bound on the magnitude of all entries of the gain."""
 
     gain: Annotated[float, SI("1", "largest magnitude of an entry of the gain", SMALLEST)]
 
@@ -181,7 +184,7 @@ EXAMPLES = (
 
 
 def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filter]:
-    """Returns the largest relative errors of measured signals and of forces, by name: numbers, or weights over frequency."""
+    """Returns the relative uncertainties of measured signals and forces by name: numbers, or frequency-dependent weights."""
     measured = context.get("measured", ())
     if not isinstance(value, Mapping):
         raise InputError(
@@ -198,7 +201,7 @@ def _tolerance(value: Any, context: Mapping[str, Any]) -> dict[str, float | Filt
 
 
 def _error(where: str, given: Any) -> float | Filter:
-    """Returns the largest relative error of a signal, or the weight of an error that depends on frequency."""
+    """Returns the relative uncertainty of a signal, or the weight of a frequency-dependent uncertainty."""
     if not isinstance(given, Mapping):
         return ERROR.number(where, given)
     if set(given) != {"weight"}:
@@ -213,7 +216,7 @@ def _error(where: str, given: Any) -> float | Filter:
 
 
 def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool, ...], ...]:
-    """Returns rows with True where a measurement may act on a force, or the pattern of a law."""
+    """Returns rows with True if a measurement may act on a force, or the name of a law's structure."""
     measured, corners = context.get("measured", ()), context["corners"]
     if value in PATTERNS:
         return value
@@ -232,7 +235,12 @@ def _structure(value: Any, context: Mapping[str, Any]) -> str | tuple[tuple[bool
 
 
 def corner_rows(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
-    """Returns True for each measurement of the corner of a force, a row per force. `what` is the key, for messages.
+    """Returns a row for each force, with True for each measurement at the corner of the force.
+
+    Args:
+        what: the key, for messages.
+        measured: names of the measured signals.
+        corners: suffix of the signal names at each force's suspension, by force.
 
     Raises:
         InputError: a signal belongs to no corner, or a corner has no signal.
@@ -256,9 +264,10 @@ FACTORS = ListedValues("", BySignal("", "parameters", 0.1, 10.0, "1"), f", {FAMI
 
 @dataclass(frozen=True, kw_only=True)
 class Goals(Section):
-    """Goals of one controller, keys of its section.
+    """Goals of one controller, given as keys of its section.
 
-    In a file, `tolerance` also has weights of errors, and `structure` is also the pattern of a law with states.
+    In a file, `tolerance` may also contain weights of uncertainties, and `structure` may also be the structure of a dynamic
+    law.
     """
 
     minimise: Annotated[
@@ -280,7 +289,7 @@ class Goals(Section):
 
     @property
     def goals(self) -> "Goals":
-        """The goals of a gain alone, without errors that depend on frequency and without the pattern of a law."""
+        """The goals of a static gain, without frequency-dependent uncertainties and without the structure of a dynamic law."""
         own: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(Goals)}
         own["tolerance"] = {name: one for name, one in self.tolerance.items() if not isinstance(one, Filter)}
         own["structure"] = None if self.structure in PATTERNS else self.structure
@@ -288,32 +297,33 @@ class Goals(Section):
 
     @property
     def over(self) -> str:
-        """Objective over a family."""
+        """Value over a vehicle family that is minimised."""
         return self.minimise.over
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Signals that are minimised or bounded, besides those of `[performance]`."""
+        """Signals that are minimised or bounded, in addition to those of `[performance]`."""
         norms = (self.minimise, *(bound for bound in self.bounds if isinstance(bound, NormBound)))
         peaks = [bound.peak for bound in self.bounds if isinstance(bound, PeakBound)]
         peaks += [bound.energy_peak for bound in self.bounds if isinstance(bound, EnergyBound)]
         return (*(name for norm in norms for name in norm.signals or ()), *peaks)
 
     def force_error(self, force: str) -> float:
-        """Returns the largest relative error of an actuator's force.
+        """Returns the relative uncertainty of an actuator's force.
 
-        A force that is measured has its reading's error under its own name. `force` gives its actuator another one.
+        If a force is measured, its name refers to the uncertainty of the measurement. The key `force` then gives the
+        uncertainty of the actuator.
         """
         return self.tolerance.get(FORCE, self.tolerance.get(force, 0.0))
 
     @property
     def roads(self) -> tuple[str, ...]:
-        """Names of the bounds' roads."""
+        """Names of the roads in the bounds."""
         return tuple(bound.road for bound in self.bounds if isinstance(bound, PeakBound))
 
     @property
     def record(self) -> dict[str, Any]:
-        """The goals as in the section of a vehicle file."""
+        """The goals as keys of a controller's section."""
         section = {key: value for key, value in super().record.items() if value}
         if self.structure is not None:
             section["structure"] = [[int(allowed) for allowed in row] for row in self.structure]

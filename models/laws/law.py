@@ -1,4 +1,4 @@
-"""Properties of any controller that a simulation needs, and of the source of its law in a vehicle file."""
+"""Base classes of controllers, as simulations use them, and of the sources of control laws in vehicle files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,33 +8,33 @@ from models.common.errors import InputError
 
 T = TypeVar("T")
 DriverKey = tuple[str, *tuple[object, ...]]
-Design = Callable[[str], T]  # of a linear controller, by its name
+Design = Callable[[str], T]  # function that designs a linear controller with a given name
 
 
 class ControlLaw:
-    """Base of all controllers. Defaults are those of a law without states, preview, own delay and certificate.
+    """Base class of all controllers. The defaults are those of a law without states, preview, own delay and certificate.
 
-    A controller that drives a vehicle has `linear`, True if linear analysis applies, and `user_code`, True for a law in Python.
+    A controller also has the attributes `linear`, True if linear analysis applies, and `user_code`, True for a Python law.
     """
 
     serial = False  # True if only one thread at a time can execute the law
-    acts = True  # False if no measurement ever makes a force
-    growth = 0.0  # of the fastest growing state of a linear law by itself [1/s]
+    acts = True  # False if the force is 0 for all measurements
+    growth = 0.0  # growth rate of the fastest growing state of a linear law, without feedback [1/s]
     has_anti_windup = False
-    preview = None  # force from the road ahead, a `RoadPreview`
+    preview = None  # force that depends on the road ahead, a `RoadPreview`
     code: Any = None  # the `ExportedCode` that computes the outputs in runs
     implemented = True  # False if the sampling, delay and rate limit of the vehicle file do not apply
-    false_claims: tuple[str, ...] = ()  # of its certificate, in words
-    specifications = ()  # of its design or evaluation
+    false_claims: tuple[str, ...] = ()  # claims of the certificate that are not true, as text
+    specifications = ()  # specifications for which the law is designed or evaluated
 
     @property
     def law_key(self) -> DriverKey:
-        """Name of the driver of the law in `sim.drive.drivers.registry`, then what is equal for laws that one driver takes."""
+        """Name of the law's driver in `sim.drive.drivers.registry`, and values that are equal for laws with the same driver."""
         return ("linear",)
 
     @property
     def driver_key(self) -> DriverKey:
-        """The `law_key` of what computes the outputs in runs: the law, or its exported code."""
+        """The `law_key` of the law, or of its exported code if this code computes the outputs in runs."""
         return self.law_key if self.code is None else ("code", self.code.sha256)
 
     @property
@@ -44,11 +44,11 @@ class ControlLaw:
 
     @property
     def own_delay(self) -> float:
-        """Delay of the outputs that the law has itself [samples]."""
+        """Delay of the outputs that is part of the law [samples]."""
         return 0
 
     def preview_samples(self, period: float) -> int:
-        """Returns the number of road heights that the law reads under each wheel, the present one included; 0 without preview.
+        """Returns the number of road heights under each wheel that the law uses, including the present one; 0 without preview.
 
         Args:
             period: sample period [s].
@@ -56,41 +56,45 @@ class ControlLaw:
         return 0
 
     def state_scale(self, period: float) -> float:
-        """Returns the factor from the states that a linear law is run with to its own."""
+        """Returns the factor that converts the states in a run of a linear law to the states of the law itself."""
         return 1.0
 
 
 class LawSource:
-    """Base of what a controller's law comes from: numbers, a design, a file of code, or the name of a semi-active law.
+    """Base class of the sources of control laws: numbers, a design, a file with code, or the name of a semi-active law.
 
-    A source also has `given`, its `LinearLaw`, and `request`, its `DesignRequest`, each None for all others.
+    A source also has the attributes `given`, its `LinearLaw`, and `request`, its `DesignRequest`. Each is None for other
+    sources.
     """
 
     linear = True  # False if linear analysis does not apply to the law
-    sample_period: float | None = None  # of a given law in discrete time [s]
-    title = "a linear law"  # kind of the law with its article, and its file
+    sample_period: float | None = None  # sample period of a given discrete-time law [s]
+    title = "a linear law"  # type of the law with its article, and its file
 
     @property
     def path(self) -> Path | None:
-        """Path of the law's own file; None for a law without one."""
+        """Path of the law's file; None for a law without a file."""
         return None
 
     @property
     def record(self) -> dict[str, Any]:
-        """The source as in the section of a vehicle file."""
+        """The source as keys of a controller's section."""
         return {}
 
     def record_from(self, folder: Path) -> dict[str, Any]:
-        """Returns the key that names the law's file from another folder; empty without such a file.
+        """Returns the key that gives the path of the law's file relative to another folder; empty for a law without a file.
 
         Raises:
-            InputError: the file is not in that folder or below, where alone a vehicle file can name it.
+            InputError: the file is not in that folder or in a folder below it, as vehicle files require.
         """
         return {}
 
     @property
     def values(self) -> dict[str, float | None]:
-        """Numbers of the law by key, `gain[0][1]` for an entry of a matrix; None for a default. Empty for other laws."""
+        """Numbers of the law by key, such as `gain[0][1]` for an entry of a matrix.
+
+        None is the value of a number with its default. The mapping is empty for laws without numbers.
+        """
         return {}
 
     def with_values(self, measured: tuple[str, ...], values: Mapping[str, float]) -> dict[str, Any]:
@@ -101,16 +105,18 @@ class LawSource:
         """Returns the controller with this law.
 
         Args:
-            name, measured: name of the controller, and its measured signals.
-            design: function that designs or certifies a linear controller by its name.
-            read: function that returns the text of a law in Python; by default it is read from the law's file, and not run.
+            name: name of the controller.
+            measured: names of its measured signals.
+            design: function that designs or certifies a linear controller with a given name.
+            read: function that returns the text of a Python law; by default, the text is read from the law's file. The text is
+                not executed.
 
         Raises:
-            InputError: the file of the law cannot be read, or an error of `design`.
+            InputError: the file of the law cannot be read, or `design` raises this error.
         """
         return design(name)
 
 
 def no_design(name: str) -> NoReturn:
-    """Refuses to design a linear controller."""
+    """Raises InputError instead of designing a linear controller."""
     raise InputError(f"controller {name!r} has a linear law; design this controller with synth.design_controllers")

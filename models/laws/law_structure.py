@@ -1,12 +1,13 @@
-"""Structure of a law with states in a section (order, law for each force, PI, PID), and the PID law of given numbers.
+"""Structure of a dynamic law in a controller's section (order, one law per force, PI, PID), and PID laws with given numbers.
 
 order = 2
 structure = "corner"
 structure = "pid"
 pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }
 
-A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. Its integral is an exact integrator, a pole at 0. There is
-no minus: a positive force lifts the body, so that negative gains on an extension work against it and positive ones with it.
+A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. The integral is an exact integrator with a pole at 0. The
+law has no minus sign: a positive force lifts the body, so negative gains on an extension counteract it and positive gains
+amplify it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,14 +26,17 @@ from models.laws.goals import Goals, corner_rows
 from models.laws.linear import LARGEST, MOST_STATES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
-ITS_GAINS = "designed gains: "  # begins the remark on a PI or PID law that is designed
+ITS_GAINS = "designed gains: "  # begins the remark about a PI or PID law that is designed
 ORDER = {"anyOf": [{"enum": [STATIC, FULL]}, {"type": "integer", "minimum": 0, "maximum": MOST_STATES}]}
 GAIN = {"type": ["number", "array"]}
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:
-    """Returns the system from y to [y; its integral], and the filtered derivative of a PID law, in continuous time."""
+    """Returns the system of a PI or PID law from y to [y; its integral; its filtered derivative], in continuous time.
+
+    A PI law has no derivative.
+    """
     if kind == PI:
         return LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
     rate = 1 / filter
@@ -45,14 +49,14 @@ def pid_filter(kind: str, filter: float) -> LinearLaw:
 
 
 def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
-    """Returns as many copies of a system, one for each of as many signals."""
+    """Returns a system that contains a number of copies of another system, one copy per signal."""
     return LinearLaw(
         *(np.kron(np.eye(count), getattr(one, name)) for name in ("A", "B", "C", "D")), sample_period=one.sample_period
     )
 
 
 def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
-    """Returns a gain for each force: one number for all, or a list."""
+    """Returns the gain of each force: one number for all forces, or a list."""
     m = len(context["corners"])
     several = value if isinstance(value, list | tuple) else [value] * m
     if len(several) != m or not all(is_finite(one) and abs(one) <= LARGEST for one in several):
@@ -62,7 +66,7 @@ def _gains(value: Any, context: Mapping[str, Any]) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class PidSection(Section):
-    """Numbers of a PI or PID law."""
+    """Section with the numbers of a PI or PID law."""
 
     kp: Annotated[tuple[float, ...], ReadBy("proportional gain, one for all forces, or one for each", _gains, allowed=GAIN)] = ()
     ki: Annotated[tuple[float, ...], ReadBy("integral gain", _gains, allowed=GAIN)] = ()
@@ -82,17 +86,17 @@ def _order(value: Any, context: Mapping[str, Any]) -> str | int:
 
 @dataclass(frozen=True, kw_only=True)
 class StructureSection(Goals):
-    """Keys of a controller's section that give the structure of a law, with those of its goals."""
+    """Keys of a controller's section for the structure of a law, and for its goals."""
 
     order: Annotated[Any, ReadBy("`static`, `full`, or the number of states of the law", _order, allowed=ORDER)] | None = None
     pid: Annotated[PidSection, Subsection("numbers of a PI or PID law", (PidSection,), f"a table, as in {EXAMPLE}")] | None = None
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
-        """Returns the structure of the law that is designed; None for a static gain, a law of full order and a given law.
+        """Returns the structure of a law that is designed; None for a static gain, a full-order law or a given law.
 
         Args:
             measured: names of the measured signals.
-            corners: suffix of the names at a force's suspension, by force.
+            corners: suffix of the signal names at each force's suspension, by force.
 
         Raises:
             InputError: the structure does not fit the signals, or `pid` does not fit the structure.
@@ -116,9 +120,9 @@ class StructureSection(Goals):
         return LawStructure(rows=rows, kind=self.structure, filter=pid.filter or 0.0)
 
     def pid_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the PID law of given numbers, without the states that do nothing; None for any other law.
+        """Returns the PID law with given numbers, without states that have no effect; None for any other law.
 
-        Args and errors are those of `law_structure`.
+        Arguments and errors are those of `law_structure`.
         """
         pid = self.pid
         if pid is None or self.structure in PATTERNS:
@@ -131,19 +135,19 @@ class StructureSection(Goals):
             )
         if pid.filter is not None and not np.any(pid.kd):
             raise InputError("pid has a filter, which acts only on the derivative, but no kd; give kd, or omit filter")
-        K = np.zeros((m, 3 * m))  # on what the filters of all signals give
+        K = np.zeros((m, 3 * m))  # gains on the outputs of the filters of all signals
         for part, gains in enumerate((pid.kp, pid.ki, pid.kd)):
             K[range(m), range(part, 3 * m, 3)] = gains or 0.0
         law = side_by_side(pid_filter(PID, pid.filter or 1.0), m)
         C, D = K @ law.C, K @ law.D
-        kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
+        kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of each other
         return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 
 
 def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
-    """Returns the numbers of a PI or PID law as in `pid` of a vehicle file, for each force; empty for any other law.
+    """Returns the numbers of a PI or PID law for each force, as in `pid` of a vehicle file; empty for any other law.
 
-    Its states are integrals and filtered signals, with the poles 0 and -1 / filter, and the inputs 1 and 1 / filter.
+    Its states are integrals and filtered signals. They have the poles 0 and -1 / filter, and the input gains 1 and 1 / filter.
     """
     rates = -np.diag(law.A)
     signals, forces = np.nonzero(law.B), np.nonzero(law.C.T)
@@ -170,18 +174,21 @@ def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
 
 
 def pid_text(law: LinearLaw) -> str:
-    """Returns a PI or PID law as in a vehicle file, a table for each force; empty for any other law."""
+    """Returns a PI or PID law as in a vehicle file, with a table for each force; empty for any other law."""
     return pid_tables(pid_gains(law))
 
 
 def pid_tables(gains: Sequence[Mapping[str, float]]) -> str:
-    """Returns gains by name as in a vehicle file, a table for each force."""
+    """Returns gains by name as in a vehicle file, with a table for each force."""
     tables = [", ".join(f"{name} = {entry(value)}" for name, value in each.items()) for each in gains]
     return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
 
 def _one_each(what: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
-    """Returns which measurement acts on which force, one on each. `what` is the key, for messages."""
+    """Returns a row for each force, with True for its measurement; each measurement acts on one force.
+
+    `what` is for messages.
+    """
     m, q = len(corners), len(measured)
     if q == m and not any(corners.values()):
         return tuple(tuple(i == j for j in range(q)) for i in range(m))

@@ -1,4 +1,4 @@
-"""Linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is a law without states."""
+"""Linear control law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain has no states."""
 
 import re
 from collections.abc import Mapping
@@ -14,31 +14,33 @@ from models.common.errors import InputError
 from models.common.printed import entry, rough
 from models.laws.law import LawSource
 
-FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
+FEWER = "of at most"  # begins a remark about a law with fewer states than the design allows
 MATRICES = ("A", "B", "C", "D")
 ENTRY = re.compile(r"(gain|[ABCD])\[(\d+)\]\[(\d+)\]")  # key of one number of a law
-PREVIEW_MATRICES = ("A", "B", "H", "C")  # of `models.laws.preview`
-MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
-LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
-ROUNDING = 1e-7  # relative: of the poles of a double integrator
-SINGULAR = 1e-12  # smallest relative singular value of a loop through the measurements; below it no digit is left
+PREVIEW_MATRICES = ("A", "B", "H", "C")  # matrices of `models.laws.preview`
+MOST_STATES = 200  # largest number of states of a law; a typical controller has some dozens
+LARGEST = 1e15  # largest magnitude of an entry; for larger entries, rounding errors would dominate
+ROUNDING = 1e-7  # relative rounding error of the poles of a double integrator
+SINGULAR = 1e-12  # smallest relative singular value of an algebraic loop through the measurements; below it, no digit is reliable
 
 
 @dataclass(frozen=True, eq=False)
 class LinearLaw(LawSource):
-    """Linear law with k states, from q measurements to m forces.
+    """Linear control law with k states, from q measurements to m forces.
 
     Attributes:
-        A: shape (k, k).
-        B: shape (k, q).
-        C: shape (m, k).
-        D: shape (m, q), the static gain K if there are no states [N per measured unit].
-        sample_period: period of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None if continuous.
-        anti_windup: rate at which its states follow the forces that are given where these are clipped [1/s]; None: they do not.
+        A: state matrix, shape (k, k).
+        B: gain from the measurements to the state, shape (k, q).
+        C: gain from the state to the forces, shape (m, k).
+        D: gain from the measurements to the forces [N per unit of the measurement], shape (m, q). Without states, D is the
+            static gain K.
+        sample_period: sample period of a discrete law [s]; None for a continuous law. A discrete law is
+            x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i].
+        anti_windup: rate at which the states follow the actual forces while forces are clipped [1/s]; None without anti-windup.
 
     Raises:
-        InputError: a matrix has entries that are not real and finite or beyond `LARGEST`, or the wrong shape, or there are too
-            many states; the message names it.
+        InputError: a matrix has the wrong shape, or entries that are not real and finite or exceed `LARGEST`, or there are too
+            many states. The message gives the matrix.
     """
 
     request = None
@@ -75,7 +77,7 @@ class LinearLaw(LawSource):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as JSON and TOML hold it: a static law's gain; else matrices, sample period and anti-windup."""
+        """The law as keys of JSON and TOML: the gain of a static law, otherwise matrices, sample period and anti-windup."""
         if not self.states:
             return {"gain": self.D.tolist()}
         numbers = {"sample_period": self.sample_period, "anti_windup": self.anti_windup}
@@ -106,17 +108,23 @@ class LinearLaw(LawSource):
 
     @property
     def matrix(self) -> Array:
-        """[D, C; B, A], shape (m + k, q + k): from measurements and states to forces and rates, or next states."""
+        """[D, C; B, A], shape (m + k, q + k).
+
+        Columns are measurements and states. Rows are forces, followed by rates of the states (or next states of a discrete
+        law).
+        """
         return np.block([[self.D, self.C], [self.B, self.A]])
 
     @property
     def acts(self) -> bool:
-        """True if some measurement ever makes a force."""
+        """True if the force is not 0 for all measurements."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     @property
     def growth(self) -> float:
-        """Returns the rate of the law's fastest growing state, without measurements [1/s]; 0 if none grows, to rounding."""
+        """Growth rate of the fastest growing state without measurements [1/s]; 0 if no state grows by more than
+        rounding errors.
+        """
         if not self.states:
             return 0.0
         poles, size = np.linalg.eigvals(self.A), float(np.abs(self.A).max())
@@ -128,12 +136,20 @@ class LinearLaw(LawSource):
         return float(fastest) if fastest > rounding else 0.0
 
     def response(self, omega: float) -> Array:
-        """Returns the transfer matrix at a frequency [rad/s], complex, shape (m, q); for a discrete law below pi / period."""
+        """Returns the transfer matrix at a frequency, complex, shape (m, q).
+
+        Args:
+            omega: angular frequency [rad/s], for a discrete law below pi / period.
+        """
         at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """Returns the factor from the states of `sampled(period)`, or of `continuous()` without a period, to the law's own."""
+        """Returns the factor that converts the states of `sampled(period)` to those of this law.
+
+        Args:
+            period: sample period [s]; None for the states of `continuous()`.
+        """
         if self.sample_period is None or (period is not None and self._at(period)):
             return 1.0
         return 1 / np.sqrt(self.sample_period)
@@ -148,16 +164,16 @@ class LinearLaw(LawSource):
         return replace(self, C=rows * self.C, D=rows * self.D)
 
     def only(self, forces: Array) -> "LinearLaw":
-        """Returns the law with all but some forces zero. With `scaled` it cuts a loop at actuators.
+        """Returns the law in which only selected forces are not zero. Together with `scaled`, it opens a loop at actuators.
 
         Args:
-            forces: True for the forces that remain, shape (m,).
+            forces: True for each force that remains, shape (m,).
         """
         rows = np.asarray(forces, dtype=bool)[:, None]
         return replace(self, C=np.where(rows, self.C, 0.0), D=np.where(rows, self.D, 0.0))
 
     def fed_back(self, through: Array) -> "LinearLaw":
-        """Returns the law on y0 for the law on y = y0 + `through` u: solves the loop through the measurements.
+        """Returns the law for the measurements y0, from this law for y = y0 + `through` u, by solving the algebraic loop.
 
         Args:
             through: feedthrough from the forces to the measurements, shape (q, m).
@@ -173,10 +189,12 @@ class LinearLaw(LawSource):
         return replace(self, A=self.A + B @ C, B=self.B + B @ D, C=C, D=D)
 
     def continuous(self) -> "LinearLaw":
-        """Returns the law in continuous time; for a discrete law, the one whose bilinear transform (Tustin) it is.
+        """Returns the law in continuous time.
+
+        A discrete law is converted to the continuous law of which it is the bilinear (Tustin) transform.
 
         Raises:
-            InputError: the law has a pole at -1, or the result has entries beyond `LARGEST`.
+            InputError: the law has a pole at -1, or the result has entries that exceed `LARGEST`.
         """
         if self.sample_period is None:
             return self
@@ -201,7 +219,7 @@ class LinearLaw(LawSource):
 
     @property
     def text(self) -> str:
-        """The law on one line."""
+        """The law as one line of text."""
         if not self.states:
             return f"gain {gain_text(self.D)}"
         if self.sample_period is None:
@@ -209,18 +227,18 @@ class LinearLaw(LawSource):
         return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], with {states_text(self)}"
 
     def sampled(self, period: float) -> "LinearLaw":
-        """Returns the law as a computer runs it, at a sample period.
+        """Returns the law as a computer executes it, at a given sample period.
 
-        A continuous law's states are exact for measurements that go straight from sample to sample (ramp-invariant, or
-        first-order hold: Franklin, Powell, Workman 1998, section 6.3). This adds no delay, as a held measurement would, and a
-        state that is fast against the period settles at once instead of ringing as by Tustin's rule. A discrete law at its own
-        period stays as it is.
+        The states of a continuous law are exact for measurements that change linearly between samples (ramp-invariant or
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3). Unlike a held measurement, this adds no delay. A state
+        that is fast relative to the period settles immediately; with Tustin's rule, it would oscillate. A discrete law is
+        unchanged at its own sample period.
 
         Args:
             period: sample period [s].
 
         Raises:
-            InputError: a state grows by more than `LARGEST` within a period, or the result has entries beyond it.
+            InputError: a state grows by more than `LARGEST` within a period, or the result has entries that exceed it.
         """
         if not self.states or self._at(period):
             return replace(self, sample_period=period)
@@ -244,10 +262,10 @@ class LinearLaw(LawSource):
 
 
 def without_loop(direct: Array) -> Array:
-    """Returns I - `direct`, which solves a loop of forces that act on their own measurements at once, shape (m, m).
+    """Returns I - `direct`, shape (m, m). Its inverse solves the algebraic loop of forces that act directly on measurements.
 
     Args:
-        direct: feedthrough from the forces that act to the forces that the law then requests, shape (m, m).
+        direct: feedthrough from the actual forces to the forces that the law then requests, shape (m, m).
 
     Raises:
         InputError: I - `direct` is singular.
@@ -263,17 +281,17 @@ def without_loop(direct: Array) -> Array:
 
 
 def static_law(gain: Array) -> LinearLaw:
-    """Returns the law u = K y.
+    """Returns the control law u = K y.
 
     Args:
-        gain: K, shape (m, q) [N per measured unit].
+        gain: K [N per unit of the measurement], shape (m, q).
     """
     m, q = np.shape(gain)
     return LinearLaw(np.zeros((0, 0)), np.zeros((0, q)), np.zeros((m, 0)), gain)
 
 
 def unchecked_static_law(gain: Array) -> LinearLaw:
-    """Returns the law u = K y of a gain in any units, also with entries beyond `LARGEST`."""
+    """Returns the control law u = K y with a gain in any units, even with entries that exceed `LARGEST`."""
     m, q = np.shape(gain)
     law = static_law(np.zeros((m, q)))
     object.__setattr__(law, "D", gain)
@@ -281,7 +299,7 @@ def unchecked_static_law(gain: Array) -> LinearLaw:
 
 
 def law_of(record: Mapping[str, Any]) -> LinearLaw:
-    """Returns the law of a `LinearLaw.record`, which may have further keys.
+    """Returns the law from a `LinearLaw.record`, which may have additional keys.
 
     Raises:
         KeyError: a matrix is missing.
@@ -306,5 +324,5 @@ def states_text(law: LinearLaw) -> str:
 
 
 def gain_text(gain: Array) -> str:
-    """Returns a gain matrix on one line, as in a vehicle file."""
+    """Returns a gain matrix as one line of text, as in a vehicle file."""
     return "[" + ", ".join("[" + ", ".join(map(entry, row)) + "]" for row in gain) + "]"

@@ -1,11 +1,12 @@
-"""Preview: the part of a linear law that answers the road ahead, a feedforward beside the feedback u = K y.
+"""Preview: the part of a linear law that responds to the road ahead, a feedforward in addition to the feedback u = K y.
 
-The force is the integral from 0 to T of F(s) d(t + s) ds, with d the road's velocities and heights under the wheels,
+The force is the integral of F(s) d(t + s) over s from 0 to T, where d contains the road velocities w and heights z_r under the
+wheels:
 
     F(s) = C exp(A s) [B, H]    on [w; z_r].
 
-A computer knows the road at its samples. As a law with states is run exact for readings that go straight from sample to sample
-(`models.laws.linear`), so is the preview for a road that does. It then is a sum over the heights at the coming samples.
+A computer knows the road only at its samples. The preview is exact for a road that changes linearly between samples, as a law
+with states is for such measurements (`models.laws.linear`). It is then a sum over the heights at the coming samples.
 """
 
 from collections.abc import Mapping
@@ -20,23 +21,23 @@ from models.common.errors import InputError
 from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
 from models.laws.python_law import AHEAD, samples_ahead
 
-COMPARED_SAMPLES = 100  # samples at which two previews are compared
-MOST_PRODUCTS = 2e9  # of a sum that is made term by term, in a second
+COMPARED_SAMPLES = 100  # number of samples at which two previews are compared
+MOST_PRODUCTS = 2e9  # number of products in a sum that is computed term by term; they take about 1 s
 
 
 @dataclass(frozen=True, eq=False)
 class RoadPreview:
-    """Force from the road ahead, see above.
+    """Feedforward force from the road ahead; the module describes its formula.
 
     Attributes:
-        seconds: T, how far ahead of every wheel its road is known [s].
-        A: shape (k, k).
-        B: input matrix of the road's velocities, shape (k, r).
-        H: input matrix of the road's heights, shape (k, r).
-        C: shape (m, k).
+        seconds: T, the time by which the road under every wheel is known ahead [s].
+        A: state matrix, shape (k, k).
+        B: input matrix of the road velocities, shape (k, r).
+        H: input matrix of the road heights, shape (k, r).
+        C: output matrix, shape (m, k).
 
     Raises:
-        InputError: a matrix has no real and finite entries, or the wrong shape, or T is not allowed.
+        InputError: a matrix has the wrong shape or entries that are not real and finite, or T is not allowed.
     """
 
     seconds: float
@@ -60,11 +61,11 @@ class RoadPreview:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The preview as JSON holds it."""
+        """The preview as keys of JSON."""
         return {"seconds": self.seconds} | {name: getattr(self, name).tolist() for name in PREVIEW_MATRICES}
 
     def samples(self, period: float) -> int:
-        """Returns the number of heights under each wheel that a computer uses, the present one included.
+        """Returns the number of heights under each wheel that a computer uses, including the present one.
 
         Args:
             period: sample period of the preview [s].
@@ -74,15 +75,15 @@ class RoadPreview:
     def weights(self, period: float) -> Array:
         """Returns the forces per metre of height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
 
-        A preview is rounded down to an integer number of samples.
+        The preview time is rounded down to an integer number of samples.
         """
         count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
         if count == 1:
             return np.zeros((1, m, r))
-        step = np.zeros((3 * k, 3 * k))  # integrals over a sample of exp(A s) and of exp(A s) s / period
+        step = np.zeros((3 * k, 3 * k))  # gives the integrals over a sample of exp(A s) and of exp(A s) s / period
         step[:k, :k], step[:k, k : 2 * k], step[k : 2 * k, 2 * k :] = period * self.A, np.eye(k), np.eye(k)
         whole = linalg.expm(step)
-        level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]  # fall: of exp(A s) (1 - s / period)
+        level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]  # fall: integral of exp(A s) (1 - s / period)
         rise = level - fall
         near, far = fall @ self.H - level @ self.B / period, rise @ self.H + level @ self.B / period
         weights, row = np.zeros((count, m, r)), self.C
@@ -93,20 +94,24 @@ class RoadPreview:
         return weights
 
     def difference(self, other: "RoadPreview") -> float:
-        """Returns the largest difference of the weights from another's, over their largest; infinite if T or a shape differs."""
+        """Returns the largest difference between the weights of two previews, relative to the largest weight of the other one.
+
+        Infinity if T or a shape differs.
+        """
         if self.seconds != other.seconds:
             return np.inf
         one, two = (each.weights(self.seconds / COMPARED_SAMPLES) for each in (self, other))
         return float(np.abs(one - two).max() / (np.abs(two).max() or 1.0)) if one.shape == two.shape else np.inf
 
     def forces(self, heights: Array, steps: int, timestep: float, samples: int) -> Array:
-        """Returns the forces along a road, held from sample to sample, shape (T, m).
+        """Returns the forces along a road, each held from sample to sample, shape (T, m).
 
         Args:
-            heights: heights of the road at the timesteps of a run, and beyond its end by the preview [m], shape (T + ahead, r).
+            heights: heights of the road [m] at the timesteps of a run, and after its end up to the preview time, shape
+                (T + ahead, r).
             steps: timesteps between two samples of the controller.
             timestep: timestep of the heights [s].
-            samples: T.
+            samples: T, number of timesteps of the run.
         """
         weights, due = self.weights(steps * timestep), -(-samples // steps)
         sampled = heights[: (due + len(weights) - 2) * steps + 1 : steps]
@@ -117,7 +122,7 @@ class RoadPreview:
         return np.repeat(forces, steps, axis=0)[:samples]
 
     def response(self, omega: Array) -> Array:
-        """Returns the frequency response from the road's velocity to the forces, complex, shape (F, m, r).
+        """Returns the frequency response from the road velocity to the forces, complex, shape (F, m, r).
 
         Args:
             omega: angular frequencies above 0 [rad/s], shape (F,).
@@ -128,14 +133,17 @@ class RoadPreview:
         return self.C @ np.linalg.solve(turning, ahead @ (self.B + self.H / s))
 
     def sampled_response(self, omega: Array, period: float) -> Array:
-        """Returns the same from the road's height for a computer's samples, complex, shape (F, m, r)."""
+        """Returns the frequency response of the sampled preview from the road height to the forces, complex, shape (F, m, r)."""
         weights = self.weights(period)
         turns = np.exp(1j * np.multiply.outer(np.asarray(omega, dtype=float), period * np.arange(len(weights))))
         return (turns @ weights.reshape(len(weights), -1)).reshape(-1, *weights.shape[1:])
 
 
 def _correlate(heights: Array, weights: Array) -> Array:
-    """Returns the sums of weighted heights at every place where all of them are there; many of them by Fourier transforms."""
+    """Returns the correlation of heights with weights at all positions at which they overlap completely.
+
+    Long signals are correlated by Fourier transforms.
+    """
     if len(heights) * len(weights) <= MOST_PRODUCTS:
         return np.correlate(heights, weights, "valid")
     size = 1 << (len(heights) - 1).bit_length()
@@ -144,10 +152,10 @@ def _correlate(heights: Array, weights: Array) -> Array:
 
 
 def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
-    """Returns the preview in the record of a controller, or None without one.
+    """Returns the preview in the record of a controller; None for a controller without preview.
 
     Raises:
-        InputError: a number is missing, or no number.
+        InputError: a number is missing or invalid.
     """
     if not isinstance(found := record.get("preview"), Mapping):
         return None

@@ -1,7 +1,7 @@
-"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function given to `sim.run`.
+"""Controllers in the user's Python code: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function passed to `sim.run`.
 
-They are read here, not run. Linear analysis makes no claim about them. Files lie in the folder of the vehicle file, or below: no
-log, result or text of a vehicle file can give another one.
+This module reads the code but does not execute it. Linear analysis does not apply to these laws. Their files must be in the
+folder of the vehicle file or below it. No log, result or text of a vehicle file can refer to another file.
 """
 
 import hashlib
@@ -27,18 +27,19 @@ FMU = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu))")
 GIVE = 'give a file next to the vehicle file and a function in this file, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file next to the vehicle file, as in fmu = "their.fmu"'
 AHEAD = SI("s", "time by which a law in Python or a design with preview knows the road ahead", 0.0, 60.0)
-TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
+TOOL = "Roadproof"  # name of the tool in FMUs that Roadproof exports; an annotation gives the delay of their outputs
 
 
 @dataclass(frozen=True)
 class PythonLaw(LawSource):
-    """Law in Python, or FMU that such a law steps, as a vehicle file names it.
+    """Law in Python, or an FMU, as a vehicle file refers to it.
 
     Attributes:
         law: `FILE.py:FUNCTION`, or `FILE.fmu`.
-        preview: preview time of the road ahead [s]; None if the law does not receive the road.
-        folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
-        inputs, outputs: signals by the names that an FMU has for them; names of signals themselves need no entry.
+        preview: time by which the law knows the road ahead [s]; None if the law does not receive the road.
+        folder: folder of the vehicle file; None for a vehicle file from text, whose laws cannot run.
+        inputs: signal for each input variable of an FMU whose name is not a signal name.
+        outputs: force for each output variable of an FMU whose name is not a signal name.
     """
 
     linear = False
@@ -57,17 +58,17 @@ class PythonLaw(LawSource):
 
     @property
     def is_fmu(self) -> bool:
-        """True if it is an FMU."""
+        """True if the law is an FMU."""
         return FMU.fullmatch(self.law) is not None
 
     @property
     def kind(self) -> str:
-        """Describes what the file holds."""
+        """Type of the law: "FMU" or "law in Python"."""
         return "FMU" if self.is_fmu else "law in Python"
 
     @property
     def with_article(self) -> str:
-        """The same with its article."""
+        """Type of the law with an article."""
         return f"{'an' if self.is_fmu else 'a'} {self.kind}"
 
     @property
@@ -77,12 +78,12 @@ class PythonLaw(LawSource):
 
     @property
     def function(self) -> str:
-        """Name of the function."""
+        """Name of the function that is called at each sample."""
         return "step" if self.is_fmu else self.law.rpartition(":")[2]
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as in JSON and TOML."""
+        """The law as keys of JSON and TOML."""
         names = {key: dict(value) for key, value in (("inputs", self.inputs), ("outputs", self.outputs)) if value}
         preview = {"preview": self.preview} if self.preview is not None else {}
         return {"fmu" if self.is_fmu else "law": self.law} | preview | names
@@ -109,7 +110,9 @@ class PythonLaw(LawSource):
             return PythonController(name, measured, self, (read or self.source)())
 
     def source(self) -> str:
-        """Reads the text of the law's file without running it. For an FMU, it is the text that steps it, with its checksum.
+        """Returns the text of the law's file without executing it.
+
+        For an FMU, it is a text that steps the FMU, with its checksum.
 
         Raises:
             InputError: the file does not exist, is too large, or is not text.
@@ -129,13 +132,13 @@ class PythonLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class PythonController(ControlLaw):
-    """Controller with a law in Python, and the text that is run; no claim is made about it.
+    """Controller with a Python law, and the text that is executed. Linear analysis does not apply to it.
 
     Attributes:
         name: name in the vehicle file.
-        measured: the signals y, q of them.
-        law: the law as the vehicle file names it.
-        source: text of the law's file, or of the function, as far as Python knows it.
+        measured: names of the q measured signals y.
+        law: the law as the vehicle file refers to it.
+        source: text of the law's file, or of the function if Python knows its text.
         function: the function itself, or a `sim.Driver`, which runs in this process; None for a law in a file.
     """
 
@@ -155,14 +158,14 @@ class PythonController(ControlLaw):
 
     @property
     def kind(self) -> str:
-        """Kind of its law, in words, with an article: a law in Python, or an FMU."""
+        """Type of the law with an article: "a law in Python" or "an FMU"."""
         return self.law.with_article
 
     serial = True
 
     @property
     def own_delay(self) -> float:
-        """See `ControlLaw`: an FMU that Roadproof exported has one."""
+        """See `ControlLaw`. Only FMUs that Roadproof exported have a delay."""
         if not self.law.is_fmu or self.law.path is None:
             return 0
         from zipfile import BadZipFile, ZipFile
@@ -186,7 +189,7 @@ class PythonController(ControlLaw):
 
     @property
     def text(self) -> str:
-        """The law on one line."""
+        """The law as one line of text."""
         preview = self.law.preview
         ahead = "" if preview is None else f", with {preview:g} s of road preview"
         known = f"; SHA-256 of its {'source' if self.function else 'file'} {self.sha256[:16]}..." if self.source else ""
@@ -194,7 +197,7 @@ class PythonController(ControlLaw):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as in JSON."""
+        """Name, signals and law as keys of JSON."""
         return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
 
 
@@ -204,15 +207,16 @@ def is_driver(given: object) -> bool:
 
 
 def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
-    """Returns the controller of a function, or of a driver; its attributes `measured` and `preview` [s] are as in a vehicle file.
+    """Returns the controller of a function or driver. Its attributes `measured` and `preview` [s] are as in a vehicle file.
 
     Args:
-        measurable: signals that a controller can measure, and does if the function has no attribute `measured`.
+        function: the function or driver.
+        measurable: signals that a controller can measure. A function without an attribute `measured` measures all of them.
 
     Raises:
         InputError: an attribute is not allowed.
     """
-    name = getattr(function, "__name__", type(function).__name__).strip("<>")  # of a lambda "<lambda>"
+    name = getattr(function, "__name__", type(function).__name__).strip("<>")  # the name of a lambda is "<lambda>"
     preview, signals = getattr(function, "preview", None), getattr(function, "measured", measurable)
     measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
     for signal in measured:
@@ -227,12 +231,12 @@ def of_function(function: Any, measurable: Sequence[str]) -> PythonController:
 
 
 def sha256(text: str) -> str:
-    """Returns the checksum of the text of a law, in UTF-8."""
+    """Returns the SHA-256 checksum of the text of a law, encoded in UTF-8."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _beside(pattern: re.Pattern[str], expected: str, value: Any, context: Mapping[str, Any]) -> str:
-    """Returns a name that has a file in the folder of the vehicle file or below. Opens no file."""
+    """Returns a text whose file is in the folder of the vehicle file or below it. Opens no file."""
     match = pattern.fullmatch(value) if isinstance(value, str) else None
     if match is None or Path(match["file"]).is_absolute() or value.startswith("~") or ".." in Path(match["file"]).parts:
         raise InputError(f"{HERE} = {short_repr(value)} is not {expected}")
@@ -249,7 +253,7 @@ def _variables(value: Any, context: Mapping[str, Any]) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramSection(Section):
-    """Keys of a controller's section with a law in Python or an FMU."""
+    """Keys of a controller's section with a Python law or an FMU."""
 
     law: (
         Annotated[
@@ -272,7 +276,7 @@ class ProgramSection(Section):
             raise InputError(f"{named[0]} describes variables of an FMU; give the FMU as fmu, or omit {named[0]}")
 
     def program(self, folder: Path | None) -> PythonLaw | None:
-        """Returns the law in Python or the FMU, or None without one. Opens no file.
+        """Returns the Python law or the FMU; None for a section with another law. Opens no file.
 
         Args:
             folder: folder of the vehicle file; None for a vehicle file from text.
@@ -282,5 +286,5 @@ class ProgramSection(Section):
 
 
 def samples_ahead(preview: float, period: float) -> int:
-    """Returns the number of samples within a preview [s], the present one included."""
+    """Returns the number of samples within a preview time [s], including the present sample."""
     return int(preview / period * (1 + 1e-9)) + 1

@@ -1,13 +1,13 @@
-"""Execution of control laws in Python: one call per sample of the controller.
+"""Execution of Python control laws: one call per sample of the controller.
 
 A law is a function `step(sample, state)` that returns the force and the next state, or `law(t, y)` that returns the force.
 
-Every run executes the law's file again, so the global names of the file, like the law's state, belong to one run: runs do not
-depend on each other. A vectorised law is executed once for all runs of a batch.
+Every run executes the file of the law again. The global names of the file and the state of the law therefore belong to one run,
+and runs do not affect each other. A vectorised law is executed only once for all runs of a batch.
 
-A law in a file runs in a child process (`FileRuns`), which is ended if a call takes too long, or all calls of a run together. The
-limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function of the caller's runs in the caller's process,
-without limits (`LawRuns`).
+A law in a file runs in a child process (`FileRuns`). The child is terminated if one call, or all calls of a run together, take
+too long. The limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function passed by the caller runs in the
+caller's process, without limits (`LawRuns`).
 """
 
 import inspect
@@ -29,9 +29,9 @@ from models.common.errors import InputError, short_repr
 from models.laws.python_law import PythonController
 from models.laws.user_code import compile_file, reason
 
-LONGEST = 10.0  # s, limit of the calls of a sample; a typical law takes microseconds
-SLOWEST = 100.0  # limit of all calls of a run, relative to its simulated time; `LONGEST` is added to it
-LONGEST_START = 60.0  # s, limit of executing the file: it may import large packages
+LONGEST = 10.0  # s, limit of the calls in one sample; a typical law takes microseconds
+SLOWEST = 100.0  # limit of all calls in a run, relative to its simulated time; `LONGEST` is added
+LONGEST_START = 60.0  # s, limit for executing the file, which may import large packages
 SLOW = f"takes more than {LONGEST:g} s plus {SLOWEST:g} times the simulated time"
 
 
@@ -39,15 +39,15 @@ class Sample:
     """Arguments of a law at a sample.
 
     Attributes:
-        y: the measurements, in the order of `measured`, shape (q,); `sample["sprung_velocity"]` is one by name.
+        y: measurements in the order of `measured`, shape (q,). `sample["sprung_velocity"]` returns one of them by name.
         time: time since the start [s].
         period: time until the next sample [s].
-        preview: heights of the road [m], a row per wheel: under it now, and at each of the next samples, as far as `preview`
-            says, shape (r, P); None if the vehicle file declares no preview.
-        parameters: parameters of the vehicle by name, in SI units.
+        preview: road heights [m], shape (r, P): a row per wheel, a column for the present sample and for each of the next
+            samples within the preview time. None if the vehicle file does not define a preview time.
+        parameters: parameters of the vehicle in SI units, by name.
 
-    A vectorised law gets N runs side by side: y has shape (N, q), `sample["sprung_velocity"]` (N,), preview (N, r, P), and
-    every parameter (N,).
+    A vectorised law receives N simultaneous runs: y has shape (N, q), `sample["sprung_velocity"]` has shape (N,), preview has
+    shape (N, r, P), and every parameter has shape (N,).
     """
 
     __slots__ = ("_index", "parameters", "period", "preview", "time", "y")
@@ -60,7 +60,7 @@ class Sample:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The names of `y`, in its order."""
+        """Names of the measurements in `y`, in its order."""
         return tuple(self._index)
 
     def __getitem__(self, signal: str) -> Any:
@@ -70,17 +70,21 @@ class Sample:
 
 
 class OwnLaw:
-    """One execution of a law: its state, and the global names of its file.
+    """One execution of a law, with its state and the global names of its file.
 
     Attributes:
-        vectorised: True if one call serves many runs, according to the attribute of that name of the function.
+        vectorised: True if one call computes all runs, as given by the attribute of this name of the function.
     """
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Executes the file, or resets the function if it has a method `reset`, or else copies the function with its state.
+        """Executes the file of the law. A function with a method `reset` is reset, another function is copied with its state.
+
+        Args:
+            controller: controller with the law.
+            forces: number of forces.
 
         Raises:
-            InputError: the file fails, or has no such function.
+            InputError: the file fails, or does not contain the function.
         """
         law, step = controller.law, anew(controller.function)
         self._path, self._forces, self._fmu, self._name = law.path, forces, law.is_fmu, law.function
@@ -107,16 +111,23 @@ class OwnLaw:
             self._run("reset()", getattr(step, "reset", lambda: None))
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
-        """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
+        """Returns the requested forces [N], shape (m,), or (N, m) for a vectorised law.
+
+        Args:
+            y: measurements, shape (q,), or (N, q) for a vectorised law.
+            time: time since the start [s].
+            period: time until the next sample [s].
+            preview: road heights, as in `Sample`.
+            parameters: parameters of the vehicle [SI], by name.
 
         Raises:
-            InputError: the law fails, or returns something else than forces and a state.
+            InputError: the law fails, or does not return forces and a state.
         """
         sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
         return self._run(self._name, lambda: self._called(sample, (*y.shape[:-1], self._forces)), time)
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
-        """Calls the law once and checks its result, whose methods may be user code as well."""
+        """Calls the law once and checks its result. Methods of the result may be user code as well."""
         given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it returns {_short(given)}, not two values; end the function with: return force, state")
@@ -129,7 +140,7 @@ class OwnLaw:
             forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
             raise InputError(f"its force is {_short(force)}, which is not a real number; return the force in N") from None
-        scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # one actuator: a number is enough
+        scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # for one actuator, a number is enough
         if forces.shape != shape and not scalar:
             raise InputError(f"its force has shape {forces.shape}; expected {shape}, one number for each actuator")
         if not np.all(np.isfinite(forces)):
@@ -137,11 +148,11 @@ class OwnLaw:
         return forces.reshape(shape)
 
     def _run(self, name: str, code: Callable[[], Any], time: float | None = None) -> Any:
-        """Runs code of the law's at a time [s]. Every failure becomes one line."""
+        """Executes code of the law at a time [s]. Every failure becomes a one-line message."""
         try:
             return code()
         except BaseException as error:
-            if self._path is None and not isinstance(error, Exception):  # an exit, or Ctrl-C, of the caller's process
+            if self._path is None and not isinstance(error, Exception):  # the caller's process exits, or received Ctrl-C
                 raise
             if self._fmu and isinstance(error, InputError):
                 raise InputError(f"{self._what}{f', at {time:.6g} s' if time else ''}: {error}") from error
@@ -150,30 +161,30 @@ class OwnLaw:
 
 
 def anew(function: Any) -> Any:
-    """Returns a copy of a function with its own closure, attributes, object and global variables, as they are before the run.
+    """Returns a copy of a function with its closure, attributes, object and global variables, in their state before the run.
 
-    A function with a method `reset` is returned itself, and so is a function that cannot be copied.
+    A function with a method `reset` is returned without copying, and so is a function that cannot be copied.
     """
     if function is None or callable(getattr(function, "reset", None)):
         return function
-    import cloudpickle  # copies functions, too
+    import cloudpickle  # it can also copy functions
 
-    with suppress(Exception):  # of any object that it contains
+    with suppress(Exception):  # any object in the function may raise any error
         return cloudpickle.loads(cloudpickle.dumps(function))
     return function
 
 
 class LawRuns:
-    """Runs of one controller, which each execute its law, or share an execution if it is vectorised.
+    """Runs of one controller. Each run executes its law; runs of a vectorised law share one execution.
 
     Attributes:
-        vectorised: True if one call serves all runs.
+        vectorised: True if one call computes all runs.
     """
 
     vectorised = False
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares no run yet; they have this number of forces."""
+        """Prepares runs with a number of forces. `add` adds the runs."""
         self._controller, self._forces = controller, forces
         self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
@@ -181,7 +192,7 @@ class LawRuns:
         """Adds a run of a vehicle with these parameters. Returns `vectorised`.
 
         Raises:
-            InputError: an error of `OwnLaw`; the run is not added.
+            InputError: any error of `OwnLaw`; the run is then not added.
         """
         if not self.vectorised:
             self._laws.append(OwnLaw(self._controller, self._forces))
@@ -192,14 +203,14 @@ class LawRuns:
     def call(
         self, gone: Array, y: Array, time: float, period: float, preview: Array | None
     ) -> tuple[Array, dict[int, InputError]]:
-        """Returns the requested forces of N runs [N], shape (N, m), and errors by run.
+        """Returns the requested forces of N runs [N], shape (N, m), and the errors by number of the run.
 
         Args:
-            gone: True for each run whose law is no longer called, shape (N,); its forces are 0.
+            gone: True for each run whose law is no longer called, shape (N,). The forces of these runs are 0.
             y: measurements, shape (N, q).
             time: time since the start [s].
             period: time until the next sample [s].
-            preview: heights of the road ahead [m], shape (N, r, P), or None.
+            preview: road heights ahead [m], shape (N, r, P); None without preview.
 
         Raises:
             InputError: the call of a vectorised law fails.
@@ -219,7 +230,7 @@ class LawRuns:
 
     @cached_property
     def _side_by_side(self) -> dict[str, Array]:
-        """The parameters of all runs by name, each of shape (N,)."""
+        """Parameters of all runs by name, each of shape (N,)."""
         return {name: np.array([one[name] for one in self._parameters]) for name in self._parameters[0]}
 
 
@@ -227,7 +238,7 @@ class FileRuns:
     """`LawRuns` of a law in a file, in a child process. If the process ends, all its runs fail."""
 
     def __init__(self, controller: PythonController, forces: int) -> None:
-        """Prepares no run yet; they have this number of forces."""
+        """Prepares runs with a number of forces. `add` adds the runs."""
         self._what, self._name, self._left, self._count = describe_law(controller), controller.law.function, LONGEST, 0
         self._error: InputError | None = None
         self._child = _child()
@@ -235,7 +246,7 @@ class FileRuns:
         self._child.send(("begin", os.getcwd(), sys.path, controller, forces))
 
     def add(self, parameters: Mapping[str, float]) -> bool:
-        """See `LawRuns.add`; executing the file also fails if it takes too long."""
+        """See `LawRuns.add`. Executing the file also fails if it takes too long."""
         self._count += 1
         return self._answer("the file", LONGEST_START, "", "add", parameters)
 
@@ -245,7 +256,7 @@ class FileRuns:
         """See `LawRuns.call`.
 
         Raises:
-            InputError: errors of `LawRuns.call`, calls that take too long, or code that ends the process.
+            InputError: any error of `LawRuns.call`, a call that takes too long, or code that ends the process.
         """
         self._left += SLOWEST * period * self._count
         began = clock()
@@ -258,7 +269,7 @@ class FileRuns:
             self._left -= clock() - began
 
     def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
-        """Returns the child's answer. Once the child has ended, it always raises the same error."""
+        """Returns the answer of the child process. After the process has ended, always raises the same error."""
         if self._error is None:
             try:
                 return self._child.ask(message, longest)
@@ -270,12 +281,13 @@ class FileRuns:
         raise self._error
 
 
-_idle: dict[int, list[Child]] = {}  # children that no runs use at the moment, by process: a fork does not own those of its parent
+# Child processes that no run uses at the moment, by process; a forked process does not own those of its parent
+_idle: dict[int, list[Child]] = {}
 
 
 def _child() -> Child:
     idle = _idle.setdefault(os.getpid(), [])
-    with suppress(IndexError):  # there is none
+    with suppress(IndexError):  # the list may be empty
         while (child := idle.pop()).ended:
             pass
         return child
@@ -283,8 +295,8 @@ def _child() -> Child:
 
 
 def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
-    """Runs laws in a child: of one controller at a time."""
-    np.seterr(all="ignore")  # non-finite results are found by `OwnLaw`
+    """Executes laws in a child process, for one controller at a time."""
+    np.seterr(all="ignore")  # `OwnLaw` checks for results that are not finite
     runs: Any = None
     for what, *message in messages:
         try:
@@ -304,7 +316,7 @@ def _serve_laws(messages: Iterator[Any]) -> Iterator[Any]:
 
 
 def _pack_array(array: Array) -> tuple[str, tuple[int, ...], bytes]:
-    """Returns the parts of a small array, which take a tenth of the array's own time to be pickled."""
+    """Returns the parts of a small array. Pickling these parts takes a tenth of the time that pickling the array takes."""
     return array.dtype.char, array.shape, array.tobytes()
 
 
@@ -314,12 +326,12 @@ def _unpack_array(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
 
 
 def runs_of(controller: PythonController, forces: int) -> LawRuns | FileRuns:
-    """Returns what runs a law: its file in a child process, or the caller's function in this process."""
+    """Returns the runs of a law: in a child process for a file, in this process for a function of the caller."""
     return (FileRuns if controller.function is None else LawRuns)(controller, forces)
 
 
 def describe_law(controller: PythonController) -> str:
-    """Returns how messages name a controller and its law."""
+    """Returns the name of a controller and its law for messages."""
     return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
 
 
@@ -327,7 +339,7 @@ def _takes_time(function: Any) -> bool:
     """Returns True for a law of time and measurements, law(t, y), instead of a sample and a state."""
     try:
         return next(iter(inspect.signature(function).parameters), "") == "t"
-    except (TypeError, ValueError):  # a function that is not Python has no signature
+    except (TypeError, ValueError):  # a function that is not written in Python has no signature
         return False
 
 

@@ -1,12 +1,12 @@
-"""Semi-active laws that ship: the coefficient of an adjustable damper, from the motion of its suspension.
+"""Built-in semi-active laws: the coefficient of a semi-active damper as a function of the motion of its suspension.
 
-With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u' its extension rate, a damper gives -c v.
-A law requests c; the damper clips it to its limits and holds it until the next sample. Delay and valve lag act on c, not on the
-force, which is that of the present v. If a law requests a force F of the whole
-damper, as of a damper between body and sky, then c = -F / v. All functions take N runs side by side with m suspensions.
+With the velocities z_s' and z_u' of body and wheel at a suspension, and its extension rate v = z_s' - z_u', a damper gives the
+force -c v. A law requests c. The damper clips c to its limits and holds it until the next sample. Delay and valve lag act on c,
+not on the force, which follows the present v. If a law requests a force F of the whole damper, such as that of a damper between
+body and sky, then c = -F / v. All functions compute N simultaneous runs with m suspensions.
 
-Source of the names, and of the laws without a source of their own: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard,
-Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
+Source of the names, and of the laws without another source: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active
+Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,23 +24,26 @@ STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
-CROSSOVER = 12.0  # rad/s, 1.9 Hz: a little above a car's body on its springs, where skyhook and ADD are alike good
+CROSSOVER = 12.0  # rad/s, 1.9 Hz: slightly above the natural frequency of a car body, where skyhook and ADD are equally good
 
-Quantity = Any  # an array of many, or a number of one
+Quantity = Any  # an array for many dampers, or a number for one
 
 
 @dataclass(frozen=True, eq=False)
 class LawCoefficients:
-    """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
+    """Coefficients and geometry of N vehicles with m semi-active dampers each, or plain numbers for one damper.
 
     Attributes:
-        c_min, c_max: limits of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at present.
-        sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
+        c_min: smallest coefficient of the dampers [N s/m], shape (N, m); for measured characteristics, force over present
+            velocity.
+        c_max: largest coefficient of the dampers [N s/m], shape (N, m), like `c_min`.
+        sky: coefficients of the dampers between body and sky [N s/m], shape (N, m).
+        ground: coefficients of the dampers between wheel and ground [N s/m], shape (N, m).
         stiffness: stiffness of the suspension springs [N/m], shape (N, m).
-        modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping
-            over `sky`, then alone, shapes (b, N, m).
-        mix: weight of skyhook in a hybrid law: 1 is skyhook alone, 0 groundhook alone; shape (N, m).
-        crossover: frequency of the mixed law, skyhook below and ADD above [rad/s], shape (N, m).
+        modes: two tuples of factors from the velocities of the body's b modes to the velocities at the suspensions, shapes
+            (b, N, m). The factors of the first tuple are multiplied by the sky damping of the mode relative to `sky`.
+        mix: weight of skyhook in a hybrid law, 1 for skyhook alone and 0 for groundhook alone, shape (N, m).
+        crossover: frequency of the mixed law, with skyhook below and ADD above [rad/s], shape (N, m).
         still: value that replaces a velocity of 0 [m/s].
     """
 
@@ -55,45 +58,46 @@ class LawCoefficients:
     still: float = STILL
 
     def alone(self, j: int) -> "LawCoefficients":
-        """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
+        """Returns the coefficients of damper j of the first vehicle as plain numbers."""
         damped, moved = ([float(factor[0, j]) for factor in factors] for factors in self.modes)
         others = {name: float(value[0, j]) for name, value in vars(self).items() if name not in ("modes", "still")}
         return replace(self, modes=(damped, moved), **others)
 
 
-Law = Callable[..., Quantity]  # (LawCoefficients, measurements of shape (N, m), or (N, 1) for a mode of the body) -> coefficients
+# Arguments: LawCoefficients, then measurements of shape (N, m), or (N, 1) for a mode of the body; returns coefficients
+Law = Callable[..., Quantity]
 
 
 def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
-    """Returns `np.where` for arrays and plain numbers."""
+    """Returns `np.where` for arrays and for plain numbers."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, this, that)
     return this if condition else that
 
 
 def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
-    """Returns the coefficient of a damper that gives a force [N] at a velocity, or next to it if that is 0."""
+    """Returns the coefficient of a damper that gives a force [N] at a velocity, or at `still` if the velocity is 0."""
     return -force / _choose(v == 0, of.still, v)
 
 
 def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Two-state skyhook: hard where a damper moves as the body does, else soft (Karnopp, Crosby, Harwood 1974)."""
+    """Two-state skyhook: hard if the damper opposes the motion of the body, else soft (Karnopp, Crosby, Harwood 1974)."""
     return _choose(body * (body - wheel) > 0, of.c_max, of.c_min)
 
 
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Continuous skyhook: the force of a damper to the sky, where the damper's own has its sign, else soft."""
+    """Continuous skyhook: the force of a damper between body and sky if the damper can give its sign, else soft."""
     v = body - wheel
     return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
 
 def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """Two-state groundhook: hard where a damper moves against the wheel, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
+    """Two-state groundhook: hard if the damper opposes the wheel's motion, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
     return _choose(-wheel * (body - wheel) > 0, of.c_max, of.c_min)
 
 
 def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
-    """The forces of a damper to the sky and one to the ground, each where it can be had, in shares (Ahmadian 1997)."""
+    """Weighted sum of the forces of a damper to the sky and one to the ground (Ahmadian 1997)."""
     v = body - wheel
     sky = _choose(body * v > 0, -of.sky * body, 0.0)
     ground = _choose(-wheel * v > 0, of.ground * wheel, 0.0)
@@ -101,15 +105,16 @@ def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 
 
 def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
-    """ADD: hard where a damper moves as the body accelerates, else soft (Savaresi, Silani, Bittanti 2005)."""
+    """ADD: hard if the damper opposes the acceleration of the body, else soft (Savaresi, Silani, Bittanti 2005)."""
     return _choose(acceleration * (body - wheel) > 0, of.c_max, of.c_min)
 
 
 def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
-    """PDD: so that spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
+    """PDD: spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
-    Soft where the soft damper takes all that the spring gives, hard where not even the hard one does; between them as much as the
-    spring; and midway where the damper stands still, its spring stretched.
+    The damper is soft if its soft setting already dissipates the power of the spring, and hard if even its hard setting does
+    not. In between, it dissipates exactly this power. At zero velocity with a deflected spring, the coefficient is the mean of
+    both limits.
     """
     v = body - wheel
     spring = of.stiffness * travel
@@ -119,15 +124,16 @@ def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Q
 
 
 def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
-    """Mixed SH-ADD: skyhook where the body moves slower than a frequency, ADD where faster (Savaresi, Spelta 2007)."""
+    """Mixed SH-ADD: skyhook below a crossover frequency of the body motion, ADD above it (Savaresi, Spelta 2007)."""
     slow = acceleration * acceleration <= of.crossover * of.crossover * (body * body)
     return _choose(slow, skyhook(of, body, wheel), acceleration_driven(of, body, wheel, acceleration))
 
 
 def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
-    """Continuous skyhook of the body's modes: heave, pitch and roll have a damper to the sky each, shared among the corners."""
+    """Continuous skyhook of the body's modes: heave, pitch and roll each have a damper to the sky, shared among the corners."""
     damped = moved = 0.0
-    for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):  # one by one: the same in whatever company
+    # Summed one by one, so that the result does not depend on the number of runs
+    for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):
         damped += to_sky * speed
         moved += share * speed
     v = moved - modes_and_wheel[-1]
@@ -135,7 +141,7 @@ def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
 
 
 BOTH = (SPRUNG, UNSPRUNG)
-# By name: the law, its measurements at every suspension, and its further keys.
+# For each name: the law, its measurements at every suspension, and its other keys.
 LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook": (skyhook, BOTH, ()),
     "skyhook_linear": (skyhook_linear, BOTH, ("sky_damping",)),
@@ -151,13 +157,13 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw(LawSource):
-    """Shipped law, as a vehicle file names it.
+    """Built-in semi-active law, as a vehicle file refers to it.
 
     Attributes:
-        name: key of `LAWS`.
-        numbers: the keys that the file gives, with their values.
-        endings: suffixes of the names at the suspensions, in the order of the forces.
-        modes: modes of the body that the law measures; empty for laws that work corner by corner.
+        name: name of the law, a key of `LAWS`.
+        numbers: keys that the file gives, with their values.
+        endings: suffixes of the signal names at the suspensions, in the order of the forces.
+        modes: velocities of body modes that the law measures; empty for laws that treat each corner separately.
     """
 
     linear, title = False, "a semi-active law"
@@ -170,12 +176,12 @@ class SemiActiveLaw(LawSource):
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The measured signals."""
+        """Names of the measured signals."""
         return (*self.modes, *(f"{quantity}{ending}" for quantity in LAWS[self.name][1] for ending in self.endings))
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as JSON and TOML hold it."""
+        """The law as keys of JSON and TOML."""
         return {"semi_active": self.name, **dict(self.numbers)}
 
     @property
@@ -195,7 +201,7 @@ class SemiActiveLaw(LawSource):
 
     @property
     def text(self) -> str:
-        """The law on one line."""
+        """The law as one line of text."""
         about = (LAWS[self.name][0].__doc__ or "").splitlines()[0].rstrip(".")
         return ", ".join([f"semi-active law {self.name}", *(f"{key} {value:g}" for key, value in self.numbers)]) + f" ({about})"
 
@@ -204,6 +210,7 @@ class SemiActiveLaw(LawSource):
 
         Args:
             y: measurements, shape (..., N, q).
+            of: coefficients and geometry of the vehicles.
         """
         first, m = len(self.modes), len(self.endings)
         modes = (y[..., at : at + 1] for at in range(first))
@@ -213,12 +220,12 @@ class SemiActiveLaw(LawSource):
 
 @dataclass(frozen=True, eq=False)
 class SemiActive(ControlLaw):
-    """Controller with a shipped semi-active law; no linear claim is made about it.
+    """Controller with a built-in semi-active law. Linear analysis does not apply to it.
 
     Attributes:
         name: name in the vehicle file.
         law: the law.
-        code: the exported code that computes its outputs in runs; None if its own law does.
+        code: the exported code that computes the outputs in runs; None if the law itself does.
     """
 
     linear: ClassVar[Literal[False]] = False
@@ -235,22 +242,22 @@ class SemiActive(ControlLaw):
 
     @property
     def kind(self) -> str:
-        """Kind of its law, in words, with an article."""
+        """Type of the law with an article."""
         return "a semi-active law"
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The signals y, q of them."""
+        """Names of the q measured signals y."""
         return self.law.measured
 
     @property
     def text(self) -> str:
-        """The law on one line."""
+        """The law as one line of text."""
         return self.law.text
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals, law and code, as in JSON."""
+        """Name, signals, law and code as keys of JSON."""
         code = {"code": self.code.record} if self.code is not None else {}
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **code}
 
@@ -274,15 +281,16 @@ class SemiActiveSection(Section):
     def semi_active_law(
         self, given: Sequence[str], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
     ) -> SemiActiveLaw | None:
-        """Returns the semi-active law, or None without one.
+        """Returns the semi-active law; None for a section with another law.
 
         Args:
             given: keys of the section in the file.
-            outputs, inputs: signals and forces of the vehicle.
-            endings: suffix of the names at every suspension with an adjustable damper, by force.
+            outputs: names of the output signals of the vehicle.
+            inputs: names of the forces of the vehicle.
+            endings: suffix of the signal names at every suspension with a semi-active damper, by force.
 
         Raises:
-            InputError: a key is one of another law, or the vehicle lacks a signal or damper of the law.
+            InputError: a key belongs to another law, or the vehicle lacks a signal or damper that the law needs.
         """
         if self.semi_active is None:
             if others := [key for key in given if key in keys(SemiActiveSection)]:

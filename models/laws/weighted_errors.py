@@ -1,4 +1,4 @@
-"""Errors of a controller's readings and forces that are weighted by frequency: a part of `tolerance` in its section.
+"""Uncertainties of a controller's measurements and forces with frequency-dependent weights, as part of `tolerance`.
 
 tolerance = { force = { weight = { numerator = [3.0, 18.5], denominator = [1.0, 46.3] } } }
 """
@@ -13,20 +13,25 @@ from models.laws.goals import FORCE
 
 @dataclass(frozen=True, eq=False)
 class WeightedErrors:
-    """Weights of dynamic errors: a force acts as u (1 + W Delta), and a reading as y (1 + W Delta), with any |Delta| <= 1.
+    """Weights of dynamic uncertainties.
+
+    A force acts as u (1 + W Delta), a measurement as y (1 + W Delta), with any |Delta| <= 1.
 
     Attributes:
-        weights: W by name of a measured signal or a force, or by `FORCE` for all forces.
+        weights: W by name of a measured signal or of a force, or by `FORCE` for all forces.
     """
 
     weights: Mapping[str, Filter]
 
     def of_readings(self, measured: Sequence[str]) -> list[Filter | None]:
-        """Returns the weight of each measured signal, or None if it has no error."""
+        """Returns the weight of each measured signal; None for a signal without uncertainty."""
         return [self.weights.get(name) for name in measured]
 
     def of_forces(self, forces: Sequence[str], measured: Sequence[str]) -> list[Filter | None]:
-        """Returns the weight of each force, or None if it has no error. The name of a measured force is that of its reading."""
+        """Returns the weight of each force; None for a force without uncertainty.
+
+        If a force is also measured, its name refers to the measurement.
+        """
         return [self.weights.get(FORCE, None if name in measured else self.weights.get(name)) for name in forces]
 
     @property

@@ -1,4 +1,4 @@
-"""Actuator at a motion ratio over travel. Where the ratio is constant, the linear model has all of its force."""
+"""Actuator whose motion ratio changes with travel. For a constant ratio, the linear model contains the whole force."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class Actuator(Part):
-    """Force that pushes body and wheel apart with its input u [N]."""
+    """Force that pushes body and wheel apart. Its input u is the force [N]."""
 
     inputs = 1
 

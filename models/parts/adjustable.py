@@ -1,14 +1,15 @@
-"""Adjustable dampers in their vehicle, and the curves that act in parallel.
+"""Semi-active dampers in their vehicle, and the characteristics that act in parallel.
 
-A curve of `[curves]` for an adjustable damper acts in parallel: its deviation from its line at rest acts at every setting, as
-the friction of a strut does. The adjustable damper itself replaces the line.
+A characteristic in `[curves]` for a suspension with a semi-active damper acts in parallel with this damper, as the friction of
+a strut does. Only its deviation from its own linearisation at equilibrium acts, at every setting, because the semi-active
+damper replaces the linear part.
 
-With c_s the nominal coefficient and c_s + d the set one, both together pull with
+With the nominal coefficient c_s and the set coefficient c_s + d, the damper and the parallel characteristic together pull with
 
-    c_s v + g(v) + d h(v),
+    c_s v + g(v) + d h(v).
 
-where h is v except for a damper of two curves (`models.characteristics.adjustable_range`), and g is the deviation of its nominal
-setting from its line, plus that of the parallel curve.
+Here h(v) = v, except for a damper with two characteristics (`models.characteristics.adjustable_range`). The deviation g is that
+of the nominal setting from its linearisation, plus that of the parallel characteristic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,18 +29,18 @@ from models.parts.characteristic import departures
 from models.parts.native import Tendon
 from models.parts.part import Limit, Line, Part, SettablePart
 
-ROUNDING = 1e-9  # relative to the force of curve and line
+ROUNDING = 1e-9  # relative to the largest force of the nominal characteristic
 
 
 @dataclass(frozen=True)
 class Adjustable(SettablePart):
-    """Adjustable damper in its vehicle."""
+    """Semi-active damper in its vehicle."""
 
     argument = "velocity"
     native = True
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`; u is the coefficient beyond the nominal one [N s/m]."""
+        """See `Part.pull`. The input u is the coefficient minus the nominal coefficient [N s/m]."""
         return self.ratio * self.force_at(self.ratio * v, u)
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -49,12 +50,12 @@ class Adjustable(SettablePart):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`: the nominal damper."""
+        """See `Part.line`. It is the linearisation of the nominal damper."""
         return Line(0.0, self.ratio**2 * self.nominal)
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if the nominal setting differs from its line."""
+        """True if the nominal setting differs from its linearisation."""
         return self.nominal_curve is not None and self.nominal_curve.is_nonlinear
 
     @property
@@ -63,18 +64,18 @@ class Adjustable(SettablePart):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`: of the nominal setting; None if it is straight."""
+        """See `Part.curve`. It is the characteristic of the nominal setting; None if that is straight."""
         return self.nominal_curve and self.nominal_curve.at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the velocities at which the nominal setting leaves its line."""
+        """Returns the velocities at which the nominal setting leaves its linearisation."""
         return () if self.curve is None else departures(self.curve, "velocity")
 
     def at_wheel(self, ratio: float) -> "Adjustable":
         return replace(self, ratio=self.ratio * ratio)
 
     def write(self, tendon: Tendon) -> None:
-        """Writes what acts at every setting. See `Part.write`."""
+        """Writes the force that acts at every setting. See `Part.write`."""
         if self.offset is not None:
             tendon.add_pieces("velocity", self.offset.at_wheel(self.ratio).pieces, over_speed=True)
 
@@ -85,10 +86,11 @@ class Adjustable(SettablePart):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the adjustable damper of a suspension, in its own travel.
+        """Yields the semi-active damper of a suspension, before the motion ratio.
 
         Raises:
-            InputError: the suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
+            InputError: the vehicle type has no nominal damper at this suspension, the nominal coefficient is outside the
+                limits, or the parallel characteristic supplies energy.
         """
         dampers, suspensions, name = vehicle.dampers, vehicle.kind.suspensions, place.damping
         if not vehicle.adjusted(place.force):
@@ -121,9 +123,15 @@ class Adjustable(SettablePart):
 
     @staticmethod
     def check_measured(name: str, measured: Sequence[str], vehicle: Any) -> None:
-        """Checks that a controller measures no force of a damper with curves, of `[parts]`, or at a motion ratio over travel.
+        """Checks that a controller measures only forces that MuJoCo has sensors for.
 
-        MuJoCo has no sensor of such a force.
+        MuJoCo cannot measure the force of a semi-active damper that has characteristics, is an element of `[parts]`, or has a
+        motion ratio that changes with travel.
+
+        Args:
+            name: name of the controller.
+            measured: signals that it measures.
+            vehicle: the vehicle.
 
         Raises:
             InputError: the controller measures such a force.
@@ -140,9 +148,10 @@ class Adjustable(SettablePart):
 
     @property
     def offset(self) -> ForceCurve | None:
-        """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being h's line at rest.
+        """Characteristic that acts at every setting; None if it is zero.
 
-        None if nothing but these acts.
+        The other actuators of the damper give (c - c_s) l v and (c - c_min) (h(v) - l v), where l is the slope of h at
+        equilibrium.
         """
         if self.nominal_curve is None or self.damper.pair is None:
             return self.nominal_curve
@@ -152,7 +161,7 @@ class Adjustable(SettablePart):
 
 
 def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
-    """Returns `Adjustable.nominal_curve`; a parallel curve counts with its pieces, whatever its line."""
+    """Returns `Adjustable.nominal_curve`. A parallel characteristic adds only its deviation from its linearisation."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
         share, pair = (nominal - damper.c_min) / (damper.c_max - damper.c_min), damper.pair
@@ -165,7 +174,10 @@ def _nominal_curve(damper: Damper, nominal: float, beside: ForceCurve | None) ->
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
-    """Checks that the softest setting with its parallel curve takes energy at every velocity; firmer ones take more."""
+    """Checks that the softest setting with the parallel characteristic dissipates energy at every velocity.
+
+    Firmer settings dissipate more.
+    """
     if one.nominal_curve is None:
         return
     x = one.nominal_curve.x

@@ -1,4 +1,4 @@
-"""A part whose force is a curve over one argument: the velocity or the deflection of its suspension."""
+"""A part whose force is a function of one argument: the velocity or the deflection of its suspension."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,11 +15,11 @@ from models.parts.part import CURVE, Limit, Line, Part, Quantity
 
 @dataclass(frozen=True, eq=False)
 class Characteristic(Part):
-    """Force r a f(r x) over an argument x, with f a curve.
+    """Force r a f(r x) over an argument x, where f is a characteristic.
 
     Attributes:
         own: f.
-        factor: a, of a vehicle whose parameter is not the curve's slope.
+        factor: a, for a vehicle whose parameter differs from the slope of the characteristic.
         ratio: r, a constant motion ratio.
     """
 
@@ -31,14 +31,14 @@ class Characteristic(Part):
 
     @classmethod
     def with_slope(cls, curve: ForceCurve, slope: float) -> Self:
-        """Returns the part with a curve whose slope at rest is scaled to another one."""
+        """Returns the part with the characteristic scaled to a given slope at equilibrium."""
         return cls(curve, slope / curve.slope if curve.slope else 1.0)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.ratio * self.factor * self.own(self.ratio * (v if self.argument == "velocity" else d))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.beyond`. It is exactly 0 along the line."""
+        """See `Part.beyond`. The result is exactly 0 where the force equals its linearisation."""
         x = v if self.argument == "velocity" else d
         return self.own.pieces.force(x) if self._alone else self.ratio * self.factor * self.own.pieces.force(self.ratio * x)
 
@@ -64,14 +64,14 @@ class Characteristic(Part):
         return self.own.scaled(self.factor).at_wheel(self.ratio)
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the arguments, below and above rest, at which the curve leaves its line."""
+        """Returns the arguments below and above equilibrium at which the force leaves its linearisation."""
         return departures(self.curve, "velocity" if self.argument == "velocity" else "deflection")
 
     def at_wheel(self, ratio: float) -> Part:
         return self if ratio == 1 else replace(self, ratio=self.ratio * ratio)
 
     def write(self, tendon: Tendon) -> None:
-        """Writes every straight piece as an actuator. See `Part.write`."""
+        """Writes every straight segment as an actuator. See `Part.write`."""
         tendon.add_pieces(f"{self.argument}", self.curve.pieces, self.argument == "velocity")
 
     @property
@@ -80,6 +80,6 @@ class Characteristic(Part):
 
 
 def departures(curve: ForceCurve, of: Quantity) -> Sequence[Limit]:
-    """Returns the limits, below and above rest, at which a curve leaves its line."""
+    """Returns the limits below and above equilibrium at which a characteristic leaves its linearisation."""
     sides = zip((-1.0, 1.0), curve.departures_at, strict=True)
     return [Limit(CURVE, of, sign, abs(far)) for sign, far in sides if abs(far) < np.inf]

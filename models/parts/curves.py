@@ -1,4 +1,7 @@
-"""`[curves]` of a vehicle file: curves of springs and dampers, and motion ratios over travel, by the replaced parameter."""
+"""`[curves]` of a vehicle file: characteristics of springs and dampers, and motion ratios over travel.
+
+Each entry has the name of the parameter that it replaces.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,14 +14,23 @@ from models.common.errors import InputError, error_in
 from models.common.extensions import FEATURES
 from models.kinds.kind import VehicleKind, nothing
 
-ROUNDING = 1e-9  # of a load
-STATIC_LOAD_TOLERANCE = 0.01  # of the static load: a larger difference from the force that a spring carries at rest is remarked
+ROUNDING = 1e-9  # relative to a load
+# If a spring's force in equilibrium differs from the static load by more than this share of the load, there is a warning.
+STATIC_LOAD_TOLERANCE = 0.01
 
 
 def curves_and_parameters(
     section: Mapping[str, Any], parameters: Mapping[str, Any], kind: VehicleKind
 ) -> tuple[dict[str, ForceCurve], dict[str, Any], VehicleKind]:
-    """Reads `[curves]`. Returns the curves, `[parameters]` with their values at rest, and the kind with motion ratios.
+    """Reads `[curves]`.
+
+    Args:
+        section: the section `[curves]`.
+        parameters: the section `[parameters]`.
+        kind: vehicle type.
+
+    Returns:
+        The characteristics, `[parameters]` with their values at equilibrium, and the vehicle type with motion ratios.
 
     Raises:
         InputError: a table is not allowed, or a parameter is in both sections.
@@ -26,7 +38,8 @@ def curves_and_parameters(
     over, ratios = FEATURES.load("lines of parts").curvable(kind.suspensions), _ratios(section, kind)
     at_rest = {name: table.at_rest for name, table in ratios.items()}
     entries = {name: entry for name, entry in section.items() if name not in ratios}
-    anything = {name: 1.0 for name in entries if name in over} | at_rest  # the loads do not depend on it
+    # Arbitrary values, because the static loads do not depend on them
+    anything = {name: 1.0 for name in entries if name in over} | at_rest
     with_any, own = {**parameters, **anything}, kind
     curves = FEATURES.load("curves in files").read_curves(
         entries, over, lambda name: static_loads(own, own.check_each(with_any)).get(name)
@@ -39,7 +52,7 @@ def curves_and_parameters(
 
 
 def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTable]:
-    """Returns the motion ratios over travel of `[curves]`, by parameter."""
+    """Returns the motion ratios over travel in `[curves]`, by parameter."""
     names = {part.ratio for part in kind.suspensions} & {*section}
     if not names:
         return {}
@@ -58,7 +71,7 @@ def _ratios(section: Mapping[str, Any], kind: VehicleKind) -> dict[str, RatioTab
 
 
 def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Returns the load of the body's weight in a spring [N], by the spring's parameter; empty if it is not known."""
+    """Returns the static load of each spring [N], by the parameter of its stiffness; empty if the loads are unknown."""
     loads = kind.static_loads(parameters)
     springs = {part.stiffness: part for part in kind.suspensions if part.stiffness and part.deflection in loads}
     return {name: loads[part.deflection] / part.motion_ratio(parameters) for name, part in springs.items()}
@@ -67,10 +80,16 @@ def static_loads(kind: VehicleKind, parameters: Mapping[str, float]) -> dict[str
 def rebalanced_curves(
     kind: VehicleKind, curves: Mapping[str, ForceCurve], before: Mapping[str, float], parameters: dict[str, float]
 ) -> dict[str, ForceCurve]:
-    """Returns the curves of a vehicle whose parameters have changed, and writes the slopes of springs that have moved.
+    """Returns the characteristics of a vehicle whose parameters have changed, and updates the stiffnesses of shifted springs.
 
-    A spring whose table carries the static load, as with `preload = true`, moves to where it carries the new one. A motion ratio
-    over travel stays about the equilibrium, as in a file with the new parameters.
+    If the table of a spring carries the static load, as with `preload = true`, the equilibrium moves along the table to the new
+    static load. A motion ratio that depends on travel stays relative to the equilibrium, as in a file with the new parameters.
+
+    Args:
+        kind: vehicle type.
+        curves: characteristics before the change.
+        before: parameters before the change [SI], by name.
+        parameters: parameters after the change [SI], by name. The stiffnesses of shifted springs are written into it.
     """
     settled = dict(curves)
     if not any(curve.at_rest for curve in curves.values()):
@@ -85,7 +104,7 @@ def rebalanced_curves(
 
 
 def curve_notes(curves: Mapping[str, ForceCurve], kind: VehicleKind, parameters: Mapping[str, float]) -> list[str]:
-    """Returns remarks on curves: what was done to their tables, and springs that do not carry the load on them."""
+    """Returns notes about characteristics: how their tables were processed, and which springs do not carry the static load."""
     slope_words = FEATURES.load("measured loops").slope_words
     loads = static_loads(kind, parameters) if any(curve.at_rest for curve in curves.values()) else {}
     notes = []
@@ -101,7 +120,7 @@ def curve_notes(curves: Mapping[str, ForceCurve], kind: VehicleKind, parameters:
 
 
 def ratio_doubts(kind: VehicleKind, strokes: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Returns warnings on bump stops that begin beyond the table of a motion ratio, where the ratio is constant."""
+    """Returns warnings about bump stops that begin beyond the end of a motion-ratio table, where the ratio is constant."""
     doubts = dict[str, None]()
     for part in kind.suspensions:
         if (table := kind.ratios.get(part.ratio)) is None:

@@ -1,4 +1,4 @@
-"""Damper with a curve of force over velocity: `[curves] suspension_damping`."""
+"""Damper with a characteristic of force over velocity: `[curves] suspension_damping`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,19 +11,22 @@ from models.kinds.kind import Suspension
 from models.parts.characteristic import Characteristic
 from models.parts.part import Part
 
-FAST = 1.0  # m/s, of a straight damper, whose force there is its largest one
+FAST = 1.0  # velocity [m/s] at which a linear damper is taken to reach its largest force
 
 
 @dataclass(frozen=True, eq=False)
 class DamperCurve(Characteristic):
-    """Damper with a curve."""
+    """Damper with a characteristic."""
 
     argument = "velocity"
     replaces = "damping", VELOCITY
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension, unless it is adjustable: its curve, or its line at a motion ratio over travel."""
+        """Yields the damper of a suspension, unless it is semi-active.
+
+        The damper has a characteristic, or is a linear damper with a motion ratio that changes with travel.
+        """
         name, curve = place.damping, vehicle.curves.get(place.damping)
         if vehicle.adjusted(place.force) or isinstance(curve, ForceSurface):
             return

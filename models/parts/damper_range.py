@@ -1,4 +1,4 @@
-"""Setting range of adjustable dampers, and the requested force that it leaves out."""
+"""Setting range of semi-active dampers, and the share of a requested force that is outside this range."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,22 +10,24 @@ from models.characteristics.curve import Pieces
 from models.common.arrays import Array
 from models.parts.part import choose_runs, merge_parts
 
-STILL = 1e-150  # m/s, in place of a velocity of 0
+STILL = 1e-150  # m/s, replaces a velocity of 0
 
 
 @dataclass(frozen=True, eq=False)
 class CoefficientRange:
-    """Limits of the coefficients relative to the nominal ones, for N runs with m actuators each.
+    """Limits of the coefficients relative to the nominal coefficients, for N runs with m actuators each.
 
-    An actuator that pushes is included with infinite limits. Its closing velocity counts as 1, so its coefficient is its force.
+    Force actuators are included with infinite limits. Their closing velocity counts as 1, so their coefficient equals their
+    force.
 
     Attributes:
-        low, high: the smallest and the largest coefficient beyond the nominal one [N s/m], shape (N, m).
-        nominal: the nominal coefficient [N s/m], 0 for an actuator that pushes, shape (N, m).
-        adjustable: True for adjustable dampers, the same in every run, shape (m,).
-        elements: elements whose voltage is set; their limits, the nominal value and what counts as coefficient are in V.
-        deviations: deviations from their lines of h (`models.characteristics.adjustable_range`) and of the softest settings,
-            each in P pieces, shape (N, m, P); None if all are straight.
+        low: smallest coefficient minus the nominal coefficient [N s/m], shape (N, m).
+        high: largest coefficient minus the nominal coefficient [N s/m], shape (N, m).
+        nominal: nominal coefficient [N s/m], 0 for force actuators, shape (N, m).
+        adjustable: True for semi-active dampers, equal in all runs, shape (m,).
+        elements: elements whose voltage is set. Their limits, nominal value and coefficient are voltages [V].
+        deviations: deviations from the linearisation, of h (`models.characteristics.adjustable_range`) and of the softest
+            setting. Each has P segments, shape (N, m, P). None if all characteristics are straight.
     """
 
     low: Array
@@ -37,30 +39,31 @@ class CoefficientRange:
 
     @property
     def curved(self) -> bool:
-        """True if the limits of a coefficient law depend on the motion."""
+        """True if the limits of the coefficients depend on the motion."""
         return self.deviations is not None or bool(self.elements)
 
     def closing(self, speeds: Array, travels: Array, z: Array) -> Array:
-        """Returns the closing velocities, and after them the travel and the states of each element, shape (..., N, m + c).
+        """Returns the closing velocities, followed by the travel and the states of each element, shape (..., N, m + c).
 
         Args:
-            speeds: stretching rates of adjustable dampers [m/s], 0 of actuators that push, shape (..., N, m).
+            speeds: extension rates of semi-active dampers [m/s], 0 for force actuators, shape (..., N, m).
             travels: deflections of all suspensions at the wheels [m], shape (..., N, s).
             z: own states of all parts, shape (..., N, k).
         """
         return np.concatenate([self.at_rest - speeds, *self.of_elements(travels, z)], axis=-1)
 
     def of_elements(self, travels: Array, z: Array) -> list[Array]:
-        """Returns travel and states of each element, shapes (..., N, c); arguments as for `closing`."""
+        """Returns the travel and the states of each element, shapes (..., N, c). Arguments are those of `closing`."""
         pairs = [
             (one.own_motion(travels[..., one.place], 0.0 * travels[..., one.place]), z[..., one.states]) for one in self.elements
         ]
         return [part for (travel, _), own in pairs for part in (travel[..., None], own)]
 
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are.
+        """Returns the factor from coefficient to force, shape (..., N, m).
 
-        The factor of an element is its mean force per volt [N/V].
+        The factor is the closing velocity [m/s], corrected for nonlinear characteristics. The factor of an element is its mean
+        force per volt [N/V].
         """
         rates = list[tuple[SetColumn, Array]]()
         for one in self.elements:
@@ -73,16 +76,18 @@ class CoefficientRange:
         return _with(self._velocity(closing, which), rates)
 
     def _velocity(self, closing: Array, which: Array | slice) -> Array:
-        """Returns `effective_velocity`, but the closing velocities of elements."""
+        """Returns `effective_velocity`, except that elements have their closing velocity."""
         closing = closing[..., : self.low.shape[1]]
         return closing if self.deviations is None else closing - self.deviations[0][which].force(-closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
-        """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
+        """Returns the smallest and the largest force divided by velocity at given velocities, shapes (N, m).
 
         Args:
-            c_min, c_max: limits at rest [N s/m], shapes (N, m).
-            closing: closing velocity of each suspension [m/s], not 0, see `closing`, shape (N, m + c).
+            c_min: smallest coefficient at velocity 0 [N s/m], shape (N, m).
+            c_max: largest coefficient at velocity 0 [N s/m], shape (N, m).
+            closing: closing velocity of each suspension [m/s], not 0, as `closing` returns it, shape (N, m + c).
+            which: selected runs out of N.
         """
         speeds = closing[..., : self.low.shape[1]]
         if self.deviations is not None:
@@ -98,45 +103,52 @@ class CoefficientRange:
         return c_min, c_max
 
     def forces(self, beyond: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at settings beyond the nominal ones [N], shape (..., N, m)."""
+        """Returns the forces at settings relative to the nominal settings [N], shape (..., N, m)."""
         parts = [(one, *one.at(closing, which)) for one in self.elements]
         pushes = [(one, part.push(*motion, beyond[..., one.column])) for one, part, motion in parts]
         return _with(beyond * self._velocity(closing, which), pushes)
 
     def settings(self, forces: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings beyond the nominal ones whose forces are nearest to requested ones [N], shape (..., N, m)."""
+        """Returns the settings, relative to the nominal ones, at which the forces are closest to requested forces [N].
+
+        The shape is (..., N, m).
+        """
         parts = [(one, *one.at(closing, which)) for one in self.elements]
         own = [(one, part.setting(forces[..., one.column], *motion)) for one, part, motion in parts]
         return _with(self._clip(forces / self._velocity(closing, which), which), own)
 
     def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
+        """Returns the settings of the actuators, followed by the missing forces, shape (..., N, 2 m).
 
-        The first half are coefficients beyond the nominal ones [N s/m], voltages beyond those without a command [V], and forces
-        of actuators that push [N]. The second half are the requested forces [N] minus the ones at these settings.
+        The first m columns are coefficients minus nominal coefficients [N s/m], voltages relative to those without a command
+        [V], or forces of force actuators [N]. The other m columns are the requested forces minus the forces at these settings
+        [N].
 
         Args:
-            requested_force: the requested forces, and the motion of each suspension, see `closing`, shape (..., N, 2 m + c).
+            requested_force: the requested forces [N], followed by the motion of each suspension, as `closing` returns it, shape
+                (..., N, 2 m + c).
+            which: selected runs out of N.
         """
         forces, closing = np.split(requested_force, [self.low.shape[1]], axis=-1)
         beyond = self.settings(forces, closing, which)
         return np.concatenate([beyond, forces - self.forces(beyond, closing, which)], axis=-1)
 
     def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
+        """As `commands`, for requested coefficients instead of forces; shape (..., N, 2 m).
 
         Args:
-            coefficients: coefficients of the dampers [N s/m], shape (..., N, m).
-            closing: closing velocity of each suspension [m/s], see `closing`, shape (..., N, m + c).
+            coefficients: requested coefficients of the dampers, force over velocity [N s/m], shape (..., N, m).
+            closing: closing velocity of each suspension [m/s], as `closing` returns it, shape (..., N, m + c).
+            which: selected runs out of N.
         """
         speeds, turned = closing[..., : self.low.shape[1]], self._velocity(closing, which)
         whole, coefficients = coefficients * speeds, coefficients - self.nominal[which]
-        if self.deviations is not None:  # the coefficients at rest of these settings
+        if self.deviations is not None:  # convert to coefficients at velocity 0
             low, soft = self.low[which], self.deviations[1][which].force(-speeds)
             coefficients = low + (coefficients - low + soft / speeds) * (speeds / turned)
         beyond = self._clip(coefficients, which)
         found = np.concatenate([beyond, (coefficients - beyond) * turned], axis=-1)
-        for one in self.elements:  # a request is the force of the whole damper
+        for one in self.elements:  # the request for an element is the force of the whole damper
             part, motion = one.at(closing, which)
             force = whole[..., one.column] + part.element.pull(*motion)
             found[..., one.column] = beyond = part.setting(force, *motion)
@@ -147,11 +159,12 @@ class CoefficientRange:
         return np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
-        """Returns the forces at the settings less the requested ones [N], shape (N, m): exactly 0 where nothing is clipped.
+        """Returns the forces at the settings minus the requested forces [N], shape (N, m); exactly 0 if nothing is clipped.
 
         Args:
             forces: requested forces [N], shape (N, m).
-            closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
+            closing: motion of each suspension, as in `commands`, shape (N, m + c); None if all actuators are force actuators.
+            which: selected runs out of N.
         """
         turned = 1.0 if closing is None else self._velocity(closing, which)
         coefficients = forces / turned
@@ -168,7 +181,7 @@ class CoefficientRange:
 
 
 def _with(values: Array, columns: Sequence[tuple["SetColumn", Array]]) -> Array:
-    """Returns values of the actuators, shape (..., m), with other ones in the columns of elements."""
+    """Returns values of the actuators, shape (..., m), in which other values replace the columns of elements."""
     if not columns:
         return values
     values = np.array(values)
@@ -182,14 +195,14 @@ class SetColumn:
     """Elements of N vehicles at one suspension, whose voltages are set.
 
     Attributes:
-        column: number of the force among the inputs.
+        column: number of the element's force among the inputs.
         place: number of the suspension.
-        names: signals of its deflection and velocity at the wheel.
-        states: columns of its states among those of all parts.
-        own: names of its states.
-        start: column of its travel in `CoefficientRange.closing`; its states follow.
-        parts: the elements at the wheel, of one vehicle for any number of runs, or of N.
-        element: the elements together, in their own travel.
+        names: signals of the suspension's deflection and velocity at the wheel.
+        states: columns of the element's states among the states of all parts.
+        own: names of the element's states.
+        start: column of the element's travel in `CoefficientRange.closing`; its states follow.
+        parts: the elements at the wheel: one for any number of runs, or N.
+        element: the N elements combined into one part, before the motion ratio.
     """
 
     column: int
@@ -202,27 +215,28 @@ class SetColumn:
     element: Any
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
-        """Returns travels [m] and velocities [m/s] of the elements, from those at the wheel, shapes (..., N)."""
+        """Returns travels [m] and velocities [m/s] of the elements for those at the wheel, shapes (..., N)."""
         if len(self.parts) == 1:
             return self.parts[0].own_motion(d, v)
         pairs = [part.own_motion(d[..., i], v[..., i]) for i, part in enumerate(self.parts)]
         return np.stack([d for d, _ in pairs], axis=-1), np.stack([v for _, v in pairs], axis=-1)
 
     def motion(self, signal: Callable[[str], Array]) -> tuple[Array, Array, Array]:
-        """Returns travels, velocities and states of the elements, from signals of shape (..., N)."""
+        """Returns travels, velocities and states of the elements from signals of shape (..., N)."""
         d, v = self.own_motion(*map(signal, self.names))
         return d, v, np.stack([signal(name) for name in self.own], axis=-1)
 
     def at(self, closing: Array, which: Array | slice) -> tuple[Any, tuple[Array, Array, Array]]:
-        """Returns some of the elements, and their travels, velocities and states from `CoefficientRange.closing`."""
+        """Returns selected elements, and their travels, velocities and states from the array of `CoefficientRange.closing`."""
         own = closing[..., self.start + 1 : self.start + 1 + len(self.own)]
         return choose_runs(self.element, which), (closing[..., self.start], -closing[..., self.column], own)
 
 
 def range_of(vehicles: Sequence[Any], most: Sequence[float | None] = ()) -> CoefficientRange:
-    """Returns the range of the actuators of N vehicles of one kind.
+    """Returns the range of the actuators of N vehicles of one type.
 
     Args:
+        vehicles: the vehicles.
         most: largest force of the force actuators of each vehicle [N]; None for no limit.
     """
     forces = vehicles[0].linear_model.inputs

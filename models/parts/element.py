@@ -1,6 +1,6 @@
-"""`[parts.NAME]` of a vehicle file: a force element beside the suspension's own spring and damper.
+"""`[parts.NAME]` of a vehicle file: a force element in parallel with the suspension's own spring and damper.
 
-Every part of the registry that is a section of a file can be such an element: its fields are its keys.
+Each registered part that is also a section of a vehicle file can be such an element. Its fields are the keys of the section.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +18,7 @@ from models.parts.stops.stop import holds, places_of
 
 @dataclass(frozen=True)
 class PartSite(Section):
-    """Keys of every element."""
+    """Keys that all elements have in common."""
 
     kind: Annotated[str, Text("name of the part")]
     at: Annotated[tuple[str, ...], ListedValues("suspensions or axles with the element; default: all", Text())] = ()
@@ -26,12 +26,12 @@ class PartSite(Section):
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """Force element of some suspensions.
+    """Force element of one or more suspensions.
 
     Attributes:
-        name: name of its section.
-        corners: names of its suspensions' corners; an empty name for a single suspension.
-        part: the part, in its own travel.
+        name: name of the section.
+        corners: names of the corners with the element; one empty name if the vehicle has a single suspension.
+        part: the part, before the motion ratio.
     """
 
     name: str
@@ -40,18 +40,23 @@ class Element:
 
     @property
     def straight(self) -> "Element":
-        """The element with its line alone; itself if it is a contact, or has nothing beyond its line."""
+        """The linearised element; the same element if it is linear, or if it acts only on contact."""
         part = self.part
         return self if part.contact or not part.is_nonlinear else replace(self, part=Straight(part.line, part.states))
 
     def with_slope(self, slope: float, damps: bool) -> "Element":
-        """Returns the element with another slope of its line [N s/m or N/m], over velocity or over deflection."""
+        """Returns the linearised element with another damping [N s/m] or stiffness [N/m].
+
+        Args:
+            slope: the new damping or stiffness.
+            damps: True for damping, False for stiffness.
+        """
         line = replace(self.part.line, damping=slope) if damps else replace(self.part.line, stiffness=slope)
         return replace(self, part=Straight(line, self.part.states))
 
     @property
     def numbers(self) -> dict[str, tuple[float, SI]]:
-        """Numbers that a campaign may sample, each with its unit and range, by `NAME.key`."""
+        """Numbers that a campaign may vary, by `NAME.key`, each with its unit and range."""
         section = type(self.part) if isinstance(self.part, Section) else Section
         own = {key: one for key, one in keys(section).items() if isinstance(one, SI)}
         return {
@@ -59,19 +64,19 @@ class Element:
         }
 
     def sampled(self, values: Mapping[str, float]) -> "Element":
-        """Returns the element with other numbers, by `NAME.key`; itself if none is its own."""
+        """Returns the element with other numbers, given by `NAME.key`; the same element if no number belongs to it."""
         own = {name.removeprefix(f"{self.name}."): value for name, value in values.items() if name in self.numbers}
         return replace(self, part=replace(self.part, **own)) if own else self  # pyright: ignore[reportArgumentType]
 
 
 def states_of(elements: Sequence[Element], suspensions: Sequence[Suspension]) -> tuple[Signal, ...]:
-    """Returns the signals of the elements' own states, suspension by suspension, as a vehicle has its parts."""
+    """Returns the signals of the elements' own states, ordered by suspension like the parts of a vehicle."""
     here = [(one, place) for place in suspensions for one in elements if place.corner in one.corners]
     return tuple(signal for one, place in here for signal in state_signals(one.part, one.name, place))
 
 
 def element_kinds() -> dict[str, type[Section]]:
-    """Returns the parts that a section can be, by name."""
+    """Returns the parts that can be elements, by the `kind` in their section."""
     return {name: one for name, one in PARTS.load_all().items() if issubclass(one, Section)}
 
 
@@ -79,8 +84,9 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
     """Reads `[parts]`.
 
     Args:
-        corners: names of the suspensions' corners.
-        taken: names of parameters, which no element may have.
+        section: the section `[parts]`.
+        corners: names of the corners with suspensions.
+        taken: names of parameters, which must not be names of elements.
 
     Raises:
         InputError: a part or a place is unknown, or a key is missing, unknown or not allowed.
@@ -112,7 +118,7 @@ def read_elements(section: Mapping[str, Any], corners: Sequence[str], taken: Col
 
 
 def _places(at: Sequence[str], corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the corners of some suspensions or axles; all of them by default."""
+    """Returns the corners at the given suspensions or axles; all corners if none is given."""
     chosen = list[str]()
     for place in at:
         here = [corner for corner in corners if holds(place, corner)]

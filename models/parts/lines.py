@@ -1,4 +1,4 @@
-"""Lines of parts at rest: keys and words of curves, and own states in linear models."""
+"""Linearisation of parts at equilibrium: keys and descriptions of characteristics, and own states in linear models."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from models.parts.part import SuspensionPart
 
 
 def curvable(suspensions: Sequence[Suspension]) -> dict[str, Argument]:
-    """Returns the parameters that a curve can replace, each with the curve's argument."""
+    """Returns the parameters that a characteristic can replace, each with the argument of the characteristic."""
     over = dict[str, Argument]()
     for part in PARTS.load_all().values():
         if (replaces := part.replaces) is not None:
@@ -24,9 +24,9 @@ def curvable(suspensions: Sequence[Suspension]) -> dict[str, Argument]:
 
 
 def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
-    """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight.
+    """Describes the linearisation of characteristics: slope at equilibrium, and range of slopes. Empty if all are straight.
 
-    Slopes are the elements' own, as in `[parameters]`, without what a preload adds.
+    Slopes are those of the elements themselves, as in `[parameters]`, without the share that a preload adds.
     """
     bent = {one.name: one for one in curves if one.curve.is_nonlinear}
     slopes = {
@@ -44,11 +44,15 @@ def lines_at_rest(curves: Sequence[SuspensionPart]) -> str:
 def with_own_states(
     model: LinearModel, parts: Sequence[SuspensionPart], rows: Array, speeds: Array, push: Array, shown: Array
 ) -> LinearModel:
-    """Returns a linear model of n states with the own states of e parts, by their lines at rest.
+    """Returns a linear model of n states, extended by the linearised own states of e parts.
 
     Args:
-        rows, speeds: gains from the states to the deflections of the parts' suspensions and to the rates of these, shape (e, n).
-        push, shown: effect of forces that pull along them on x' and on the outputs, shapes (n, e) and (p, e).
+        model: linear model without the own states.
+        parts: the parts, with their suspensions.
+        rows: gains from the states to the deflections of the parts' suspensions, shape (e, n).
+        speeds: gains from the states to the rates of these deflections, shape (e, n).
+        push: effect of forces along the suspensions on the derivatives of the states, shape (n, e).
+        shown: effect of forces along the suspensions on the p outputs, shape (p, e).
     """
     names = tuple(signal.name for one in parts for signal in one.states)
     if not names:

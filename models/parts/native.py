@@ -1,10 +1,11 @@
-"""Parts in forms native to MuJoCo: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
+"""Parts as MuJoCo's own elements: actuators and springs on a suspension's tendon, evaluated in every stage of RK4.
 
-An actuator with zero control, a bias that is affine in length and speed, and a `forcerange` that clips it, is one straight piece
-of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
-a damping ratio.) The suspension's own spring and damper stay, with the part's line at rest; the pieces add the deviation.
+One actuator represents one straight segment of a characteristic. Its control is zero, its bias is affine in length or speed,
+and a `forcerange` clips it. The gain stays 1: if it were minus the slope of the bias over length, MuJoCo would interpret a
+positive slope over speed as a damping ratio. The suspension's own spring and damper stay and give the linearised force. The
+segments add the deviation from this force.
 
-A part without such a form has a motor, which `sim.drive.part_steps` controls in every stage of RK4.
+A part that MuJoCo's own elements cannot represent gets a motor, which `sim.drive.part_steps` controls in every stage of RK4.
 """
 
 from collections.abc import Sequence
@@ -18,22 +19,22 @@ from models.characteristics.curve import Pieces
 from models.common.errors import InputError
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings do not have type stubs.
 
 
-LARGEST_FORCE = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
-MOTOR = "part_"  # begins the name of a motor, after the prefix and before the tendon
+LARGEST_FORCE = 1e9  # N; larger than any suspension force, and smaller than the limit at which MuJoCo reports an error
+MOTOR = "part_"  # follows the prefix in the name of a motor; the name of the tendon follows
 
 
 @dataclass(frozen=True)
 class Tendon:
-    """Tendon of a suspension in an `MjSpec`, on which a part writes.
+    """Tendon of a suspension in an `MjSpec`, to which a part adds its force.
 
     Attributes:
-        spec: the model, its parameters written into it.
+        spec: the model, with all parameters.
         name: name of the tendon.
-        rest: length at rest [m].
-        prefix: beginning of the names of actuators that a part adds.
+        rest: length in equilibrium [m].
+        prefix: beginning of the names of the actuators that a part adds.
     """
 
     spec: Any
@@ -42,20 +43,20 @@ class Tendon:
     prefix: str
 
     def add_pieces(self, name: str, pieces: Pieces, over_speed: bool = False) -> None:
-        """Adds pieces of a force that pulls the tendon's ends together, over its deflection or its speed."""
+        """Adds segments of a force that pulls the ends of the tendon together, over its deflection or its speed."""
         length = 0.0 if over_speed else self.rest
         for i in range(len(pieces.slope)):
             actuator = self._actuator(f"{self.prefix}{name}_{self.name}_{i + 1}")
             actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             slope, start = float(pieces.slope[i]), float(pieces.start[i])
-            # A curve pulls together where it is positive, and an actuator's force stretches its tendon.
+            # A positive force of the characteristic pulls together, but a positive actuator force stretches the tendon.
             along = [0.0, -slope] if over_speed else [-slope, 0.0]
             actuator.biasprm[:3] = [slope * (start + length), *along]
             actuator.forcelimited = True
             actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -LARGEST_FORCE, LARGEST_FORCE)
 
     def add_spring(self, name: str, slack: tuple[float, float], stiffness: Sequence[float]) -> None:
-        """Adds a spring beside the tendon, f = -(a x + b x^2 + c x^3), with a dead band of lengths [m]."""
+        """Adds a spring in parallel with the tendon, f = -(a x + b x^2 + c x^3). Its dead band is a range of lengths [m]."""
         spring = self.spec.add_tendon(name=f"{name}_{self.name}")
         spring.stiffness[:] = stiffness
         spring.springlength = slack
@@ -66,26 +67,28 @@ class Tendon:
                 spring.wrap_site(wrap.target.name)
 
     def add_motor(self) -> None:
-        """Adds the motor whose control is a pull [N]."""
+        """Adds a motor on the tendon. Its control is a force that pulls the ends together [N]."""
         self._actuator(f"{self.prefix}{MOTOR}{self.name}").gainprm[0] = -1.0
 
     def adjust_input(
         self, force: str, line: float, ramps: Sequence[tuple[float, float, int]], low: float, ratio: float, lag: float | None
     ) -> None:
-        """Replaces the motor of an input by an adjustable damper: the control is c - c_s, the force -(c - c_s) h(v).
+        """Replaces the motor of an input by a semi-active damper with the control c - c_s and the force -(c - c_s) h(v).
 
-        h is a line and ramps that begin at knots, one actuator each, with the same control. A ramp gives (c - c_min) a (v - k),
-        which has one sign beyond its knot k, and is clipped to zero on the other side.
+        The function h is a straight line plus ramps that begin at knots. Each has its own actuator, and all receive the same
+        control. A ramp gives (c - c_min) a (v - k), which has one sign beyond its knot k and is clipped to zero before the
+        knot.
 
         Args:
-            line: slope of h at rest.
-            ramps: knot [m/s], slope and side of each.
-            low: the least c - c_s [N s/m].
+            force: name of the input's actuator.
+            line: slope of h at equilibrium.
+            ramps: knot [m/s], slope and side (1 or -1) of each ramp.
+            low: the smallest value of c - c_s [N s/m].
             ratio: motion ratio.
-            lag: bandwidth of the valve [rad/s], or None.
+            lag: bandwidth of the valve [rad/s]; None for a valve without lag.
 
         Raises:
-            InputError: the actuator is not a motor of gear 1 on the tendon.
+            InputError: the actuator is not a motor with gear 1 on the tendon.
         """
         actuator = next((one for one in self.spec.actuators if one.name == force), None)
         if actuator is None or (actuator.target, float(actuator.gear[0])) != (self.name, 1.0):
@@ -107,7 +110,7 @@ class Tendon:
             parts.append(ramp)
         if lag is not None:
             for part in parts:
-                part.dyntype = mujoco.mjtDyn.mjDYN_FILTER  # integrated with the rest by RK4
+                part.dyntype = mujoco.mjtDyn.mjDYN_FILTER  # RK4 integrates the lag together with the other states
                 part.dynprm[0] = 1 / lag
 
     def _actuator(self, name: str) -> Any:
@@ -117,13 +120,14 @@ class Tendon:
 
 
 def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
-    """Adds velocity sensors for lengths that have sensors.
+    """Adds sensors of velocities for tendons or joints whose length is already measured.
 
     Args:
-        deflections: pairs of signals, velocity and length.
+        spec: the model.
+        deflections: pairs of signal names: the new velocity, and the measured length.
 
     Raises:
-        InputError: a length is read by another sensor than one of a tendon or a joint.
+        InputError: a length is not measured by the sensor of a tendon or joint.
     """
     kind, sensors = mujoco.mjtSensor, {sensor.name: sensor for sensor in spec.sensors}
     speeds = {kind.mjSENS_TENDONPOS: kind.mjSENS_TENDONVEL, kind.mjSENS_JOINTPOS: kind.mjSENS_JOINTVEL}

@@ -1,12 +1,13 @@
-"""A part of a suspension: a force between body and wheel, and all that the project asks of one.
+"""A part of a suspension: a force between body and wheel, with everything that analysis and simulation need to know about it.
 
-A part pulls the ends of its suspension together with F(d, v, z, u): d is the extension from rest and v its rate, both positive
-where the suspension stretches; z are states of the part's own, and u its inputs. Linear analysis has its line at rest,
+The force F(d, v, z, u) of a part pulls the ends of its suspension together if it is positive. The arguments are the extension d
+of the suspension from equilibrium, its rate v (positive if the suspension extends), the part's own states z, and its inputs u.
+Linear analysis uses the linearisation at equilibrium,
 
     F = k d + c v + b v' + C z + g u,    z' = A z + (rows for d, v and u),
 
-and everything that runs the vehicle adds what is beyond that line. A new part is a class in a file of this folder, a force
-element of `[parts]` in a file of `elements`, and a line in `EXTENSIONS` of `models.common.extensions`.
+and all simulations add the difference between the force and this linearisation. A new part is a class in a file of this folder,
+or a force element of `[parts]` in a file of `elements`. It also needs a line in `EXTENSIONS` of `models.common.extensions`.
 """
 
 from abc import ABC, abstractmethod
@@ -30,25 +31,27 @@ if TYPE_CHECKING:
     from models.kinds.signals import Signal
     from models.parts.native import Tendon
 
-Number = float | Array  # an array of shape (N,) for N runs side by side
+Number = float | Array  # an array has shape (N,), for N simultaneous runs
 Quantity = Literal["deflection", "velocity", "force"]
-POINTS = 401  # of a drawn curve, rest among them
-STEP = 1e-200  # of a complex step, whose derivative is exact to rounding
-SMALL, KINKED = 1e-6, 1e-3  # m or m/s, a motion about rest; share of the force beyond the line there, of a force with a kink
-CURVE, BUMP_STOP = "curve", "bump stop"  # ends of the linear regime
+POINTS = 401  # number of points of a drawn characteristic, including the point at equilibrium
+STEP = 1e-200  # size of a complex step, whose derivative is exact except for rounding errors
+# Amplitude of a small motion about equilibrium [m or m/s]. A force has a kink if it differs there from its linearisation by at
+# least the share KINKED.
+SMALL, KINKED = 1e-6, 1e-3
+CURVE, BUMP_STOP = "curve", "bump stop"  # events that end the range of linear analysis
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Line of a part with n states at rest, for linear analysis.
+    """Linearisation of a part with n own states about equilibrium.
 
-    pull = k d + c v + b v' + C z + g u, and the rates of its states.
+    The part pulls with k d + c v + b v' + C z + g u; its own states have linear rates, too.
 
     Attributes:
         stiffness: k [N/m].
         damping: c [N s/m].
-        gain: g, force per unit of the input; 0 without one.
-        of_preload: part of k by a preload at a motion ratio over travel [N/m].
+        gain: g, force per unit of the input; 0 for a part without an input.
+        of_preload: share of k that is caused by a preload and a motion ratio that changes with travel [N/m].
         inertance: b [kg].
         of_states: C, shape (..., n); None for a part without states.
         rates: gains from (z, d, v, u) to the rates z', shape (..., n, n + 3); None for a part without states.
@@ -68,33 +71,34 @@ class Line:
 
     @property
     def sloped(self) -> bool:
-        """True if it pulls without an input."""
+        """True if the part has a force even if its input is 0."""
         return self.of_states is not None or bool(self.stiffness or self.damping or self.inertance)
 
     def __call__(self, d: Array, v: Array, u: Array | float = 0.0, z: Array | None = None) -> Array:
-        """Returns the pull of the line without its inertance [N], shape (...); without states given, these are 0."""
+        """Returns the linearised pull without the inertance [N], shape (...). Omitted states `z` count as 0."""
         total: Any = None
         for slope, x in ((self.stiffness, d), (self.damping, v), (self.gain, u)):
-            if not isinstance(slope, float) or slope:  # this runs in each stage of a step, and most lines have one slope alone
+            # This runs in each stage of a step; most parts have only one coefficient that is not 0
+            if not isinstance(slope, float) or slope:
                 total = slope * x if total is None else total + slope * x
         total = 0.0 if total is None else total
         return total if z is None or self.of_states is None else total + (self.of_states * z).sum(axis=-1)
 
     def rate(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
-        """Returns the rates of the states by the line, shape (..., n)."""
+        """Returns the linearised rates of the states, shape (..., n)."""
         assert self.rates is not None, "a part with states"
         return np.matvec(self.rates, np.concatenate([z, np.stack(np.broadcast_arrays(d, v, u), axis=-1)], axis=-1))
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Limit at which a part ends the linear regime.
+    """Limit of a quantity at which a part ends the range of linear analysis.
 
     Attributes:
-        end: name of the end, as in `sim.drive.regime`.
-        of: quantity with the limit: deflection or velocity of the suspension, or force beyond the line.
-        sign: sign of the side with the limit; 0 for both.
-        value: limit of that side, or of the magnitude [m, m/s or N].
+        end: name of the event, as in `sim.drive.regime`.
+        of: limited quantity: deflection or velocity of the suspension, or difference of the force from its linearisation.
+        sign: sign of the quantity on the limited side; 0 for both sides.
+        value: limit of the magnitude [m, m/s or N].
     """
 
     end: str
@@ -104,108 +108,127 @@ class Limit:
 
 
 class Part(ABC):
-    """Force along a suspension. Arrays have any shape (...); states and inputs are on a last axis of their own.
+    """Force along a suspension.
 
-    A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N runs side by side (`stacked`).
+    A part is a frozen dataclass. Its numbers may be arrays of shape (N,), for N simultaneous runs (`Stack`). Deflections,
+    velocities and forces have any shape (...). Own states have an additional last axis.
     """
 
-    states: ClassVar[tuple["Signal", ...]] = ()  # its own states, 0 at rest; the vehicle's signals have element and corner, too
+    # Own states, 0 in equilibrium; in a vehicle, the signal names also contain element and corner
+    states: ClassVar[tuple["Signal", ...]] = ()
     inputs: ClassVar[int] = 0
-    settable: ClassVar[tuple[Number, Number] | None] = None  # least and largest input that a controller sets; None without
-    replaces: ClassVar[tuple[str, "Argument"] | None] = None  # the suspension's parameter that a curve of `[curves]` replaces
-    reach: ClassVar[float] = np.inf  # largest argument that it is made for, either way [m/s or m]
-    contact: ClassVar[bool] = False  # True for a force without effect before an end of the linear regime: no reference has it
-    stores: ClassVar[bool] = False  # True for a part that stores all energy and loses none
-    argument: ClassVar[Quantity | None] = None  # of the force, if it depends on one alone
-    fastest: ClassVar[float] = 0.0  # largest rate of its own states at 2 m/s [1/s], if it grows with the velocity
-    native: ClassVar[bool] = False  # True if `write` has a form native to MuJoCo for what is beyond the line
+    settable: ClassVar[tuple[Number, Number] | None] = None  # least and largest input that a controller can set; None without
+    # Parameter of the suspension that a characteristic in `[curves]` replaces
+    replaces: ClassVar[tuple[str, "Argument"] | None] = None
+    reach: ClassVar[float] = np.inf  # magnitude of the largest argument for which the part is valid [m/s or m]
+    contact: ClassVar[bool] = False  # True for a force that acts only beyond a limit of the linear range; references omit it
+    stores: ClassVar[bool] = False  # True for a part that stores energy and does not dissipate any
+    argument: ClassVar[Quantity | None] = None  # the only argument of the force, if it depends on one quantity only
+    fastest: ClassVar[float] = 0.0  # largest rate of its own states at 2 m/s [1/s], if the rate grows with velocity
+    native: ClassVar[bool] = False  # True if `write` can represent the nonlinear force by MuJoCo's own elements
 
     @abstractmethod
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """Returns the force that pulls body and wheel together [N], shape (...).
 
         Args:
-            d, v: extension of the suspension [m] and its rate [m/s], shape (...).
-            z: n states of its own, shape (..., n).
+            d: extension of the suspension from equilibrium [m], shape (...).
+            v: rate of the extension [m/s], shape (...).
+            z: n own states of the part, shape (..., n).
             u: input, shape (...).
         """
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of its states, shape (..., n). Arguments as for `pull`."""
+        """Returns the rates of the own states, shape (..., n). Arguments are those of `pull`."""
         return np.zeros((*np.shape(d), 0))
 
     def divisor(self, u: Array | float) -> Any:
-        """Returns a positive number, linear in the input, by which `pull` times the number is a parabola in the input."""
+        """Returns a positive number that is linear in the input.
+
+        `pull` times this number is a quadratic function of the input.
+        """
         return 1.0
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """Returns the stored energy [J], shape (...)."""
+        """Returns the energy stored in the part [J], shape (...)."""
         return np.zeros(np.shape(d))
 
     def inertance_at(self, d: Array) -> Number:
-        """Returns b of a further force b v' [kg], shape () or (...); the kinetic energy of the part is b v^2 / 2."""
+        """Returns the inertance b of an additional force b v' [kg], shape () or (...). The kinetic energy is b v^2 / 2."""
         return 0.0
 
     def centrifugal(self, d: Array, v: Array) -> Array | float:
-        """Returns the part of `pull` because b changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
+        """Returns the share of `pull` that is due to an inertance that changes with travel, (db/dd) v^2 / 2 [N], shape (...)."""
         return 0.0
 
     @cached_property
     def line(self) -> Line:
-        """Derivative at rest, by complex steps."""
+        """Linearisation at equilibrium, computed by complex steps."""
         step, at = np.array(STEP * 1j), np.array(0j)
         along = ((step, at, at), (at, step, at), (at, at, step))[: 2 + self.inputs]
         n, inertance = len(self.states), self.inertance_at(np.zeros(()))
         slopes: Any = (np.imag(self.pull(d, v, np.zeros(n), u)) / STEP for d, v, u in along)
         if not n:
             return Line(*slopes, inertance=inertance)
-        rows = STEP * 1j * np.eye(n + 3)  # over (z, d, v, u)
+        rows = STEP * 1j * np.eye(n + 3)  # rows contain steps of z, d, v and u
         pulls = [np.imag(self.pull(at, at, row[:n], at)) / STEP for row in rows[:n]]
         rates = [np.imag(self.rate(row[n], row[n + 1], row[:n], row[n + 2])) / STEP for row in rows]
         return Line(*slopes, inertance=inertance, of_states=np.stack(pulls, axis=-1), rates=np.stack(rates, axis=-1))
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the force beyond the line, without that of an inertance [N], shape (...). Arguments as for `pull`."""
+        """Returns the difference between force and linearisation, without inertance [N], shape (...).
+
+        Arguments are those of `pull`.
+        """
         return self.pull(d, v, z, u) - self.line(d, v, u, z)
 
     def rate_beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """Returns the rates of its states beyond those of the line, shape (..., n). Arguments as for `pull`."""
+        """Returns the difference between the rates of the own states and their linearisation, shape (..., n).
+
+        Arguments are those of `pull`.
+        """
         return self.rate(d, v, z, u) - self.line.rate(d, v, z, u)
 
     def stored_beyond(self, d: Array, z: Any = None) -> Array:
-        """Returns the stored energy without that of the line [J], shape (...)."""
+        """Returns the difference between the stored energy and that of the linearised stiffness [J], shape (...)."""
         return self.stored(d, z) - self.line.stiffness * np.square(d) / 2
 
     @property
     def is_nonlinear(self) -> bool:
-        """False if the force is that of its line everywhere."""
+        """False if the force equals its linearisation everywhere."""
         return True
 
     @property
     def range(self) -> float:
-        """The largest force that it is made for, either way [N]; infinite if this is unknown."""
+        """Magnitude of the largest force for which the part is valid [N]; infinity if it is unknown."""
         return np.inf if self.curve is None else self.curve.range
 
     @property
     def acts(self) -> bool:
-        """False if nothing is beyond the line."""
+        """False if the part adds nothing to its linearisation."""
         return self.is_nonlinear or bool(self.inputs)
 
     @property
     def kinked_at_rest(self) -> bool:
-        """True if no motion is small enough for the line."""
+        """True if the force has a kink at equilibrium, so that linear analysis is not valid even for the smallest motion."""
         d, v = SMALL * np.array([[1, -1, 0, 0], [0, 0, 1, -1]])
         at = d, v, np.zeros((4, len(self.states)))
         bent = bool(np.any(np.abs(self.beyond(*at)) > KINKED * np.abs(self.pull(*at))))
         return bent or (bool(self.states) and bool(np.any(np.abs(self.rate_beyond(*at)) > KINKED * np.abs(self.rate(*at)))))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns what ends the linear regime: a force beyond the line of `LEAVES` of its largest one."""
+        """Returns the limits of the linear range.
+
+        By default, the range ends if the force differs from its linearisation by the share `LEAVES` of its largest value.
+        """
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.is_nonlinear and np.isfinite(self.range) else ()
 
     @cached_property
     def curve(self) -> "ForceCurve | None":
-        """The force over its only argument, at `POINTS` up to `reach`; None if it depends on more, or has no reach."""
+        """The force over its only argument, at `POINTS` points up to `reach`.
+
+        None if the force has several arguments, or if `reach` is infinite.
+        """
         if self.argument is None or not np.isfinite(self.reach):
             return None
 
@@ -215,35 +238,38 @@ class Part(ABC):
         return FEATURES.load("curves").ForceCurve(x, force, float(slope), self.words)
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
-        """Returns travel [m] and velocity [m/s] between the part's own ends, shapes (...), from those at the wheel."""
+        """Returns travel [m] and velocity [m/s] between the part's own ends, shapes (...), for travel and velocity at
+        the wheel.
+        """
         return d, v
 
     def at_wheel(self, ratio: float) -> "Part | None":
-        """Returns the part that acts so at the wheel, through a constant motion ratio; None for an `AtRatio` of the part."""
+        """Returns the equivalent part at the wheel for a constant motion ratio; None if `AtRatio` must represent it."""
         return self if ratio == 1 else None
 
     def write(self, tendon: "Tendon") -> None:
-        """Writes what is beyond the line into an MjSpec, in a form native to MuJoCo."""
+        """Writes the nonlinear force into an MjSpec, with MuJoCo's own elements."""
         raise NotImplementedError(f"{type(self).__name__} has no form native to MuJoCo")
 
     def write_input(self, tendon: "Tendon", by_motor: bool) -> None:
-        """Writes what the actuator of its input does in an MjSpec.
+        """Writes the effect of the input's actuator into an MjSpec.
 
         Args:
-            by_motor: True if a motor pulls with what is beyond the line.
+            tendon: tendon of the suspension.
+            by_motor: True if a motor already applies the nonlinear force.
         """
         return  # most parts have no input
 
     @property
     def words(self) -> str:
-        """The part in a phrase."""
+        """Description of the part in a phrase."""
         return type(self).__name__
 
     @classmethod
     def of(cls, vehicle: Any, place: "Suspension") -> Iterator[tuple["Part", str]]:
-        """Yields the parts of a suspension that follow from other sections than `[parts]`, in their own travel.
+        """Yields the parts of a suspension that follow from other sections than `[parts]`, before the motion ratio.
 
-        Each is with the parameter that is its line, or with an empty text.
+        Each part is paired with the parameter that contains its linearisation, or with an empty text.
         """
         yield from ()
 
@@ -254,10 +280,10 @@ class SuspensionPart:
 
     Attributes:
         place: the suspension.
-        part: the part at the wheel.
-        parameter: parameter of the vehicle that is the part's line; empty for an element without one.
-        ratio: motion ratio at rest.
-        element: name of its section of `[parts]`; empty for a part of another section.
+        part: the equivalent part at the wheel.
+        parameter: parameter of the vehicle that contains the linearisation of the part; empty for an element of `[parts]`.
+        ratio: motion ratio in equilibrium.
+        element: name of the section of `[parts]`; empty for a part from another section.
     """
 
     place: "Suspension"
@@ -268,12 +294,12 @@ class SuspensionPart:
 
     @property
     def name(self) -> str:
-        """Its parameter, or the name of its section of `[parts]`."""
+        """The parameter of the part, or the name of its section of `[parts]`."""
         return self.parameter or self.element
 
     @property
     def deflection(self) -> str:
-        """Signal of the suspension."""
+        """Name of the suspension's deflection signal."""
         return self.place.deflection
 
     @property
@@ -283,50 +309,50 @@ class SuspensionPart:
 
     @cached_property
     def added_line(self) -> Line:
-        """Its line beyond the vehicle's own springs and dampers, which have that of a parameter."""
+        """Linearisation of the part, without the share that a parameter of the vehicle already contains."""
         return Line() if self.parameter else self.part.line
 
     @cached_property
     def states(self) -> "tuple[Signal, ...]":
-        """Signals of its own states."""
+        """Signals of the part's own states."""
         return state_signals(self.part, self.element, self.place)
 
     @property
     def native(self) -> bool:
-        """True if MuJoCo has a form of all that is beyond the vehicle's own springs and dampers."""
+        """True if MuJoCo's own elements can represent everything that the part adds to the linear springs and dampers."""
         return self.part.native and not self.added_line.sloped
 
     @property
     def acts(self) -> bool:
-        """True if something is beyond the vehicle's own springs and dampers."""
+        """True if the part adds a force to the vehicle's linear springs and dampers."""
         return self.part.acts or self.added_line.sloped
 
     @property
     def damps(self) -> bool:
-        """True if the curve of the part is over velocity."""
+        """True if the characteristic of the part is a function of velocity."""
         return self.part.argument != "deflection"
 
     @property
     def argument(self) -> str:
-        """Name of the signal on which the curve of the part depends."""
+        """Name of the signal that is the argument of the part's characteristic."""
         return self.place.velocity.name if self.damps else self.place.deflection
 
     @property
     def curve(self) -> "ForceCurve":
-        """The curve of a part that has one."""
+        """The characteristic of a part that has one."""
         assert self.part.curve is not None, "a part with a curve"
         return self.part.curve
 
     @property
     def surface(self) -> "ForceSurface | None":
-        """The curve of a damper over velocity and deflection; None if it depends on one of them."""
+        """The characteristic of a damper over velocity and deflection; None if it has only one argument."""
 
         curve: Any = self.part.curve
         return curve if isinstance(curve, FEATURES.load("surfaces").ForceSurface) else None
 
 
 def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signal, ...]":
-    """Returns the signals of a part's own states, as an element of a suspension."""
+    """Returns the signals of the own states of a part that is an element of a suspension."""
     signals = (
         replace(one, name=f"{element}_{one.name}", symbol=f"{one.symbol} {element}", meaning=f"{one.meaning}, {element}")
         for one in part.states
@@ -336,16 +362,18 @@ def state_signals(part: Part, element: str, place: "Suspension") -> "tuple[Signa
 
 @dataclass(frozen=True)
 class SettablePart(Part):
-    """Damper whose coefficient a valve sets: its input is the coefficient beyond the nominal one [N s/m].
+    """Damper whose coefficient a valve sets. Its input is the coefficient minus the nominal coefficient [N s/m].
+
+    The force that the damper replaces is relative to the force of the nominal damper. Numbers, forces and velocities are those
+    of the damper itself, before the motion ratio; only the methods of `Part` use those at the wheel.
 
     Attributes:
-        force: the input that it replaces, its force beyond the nominal damper's.
-        ending: suffix of the names at its suspension.
+        force: name of the control force that the damper replaces.
+        ending: suffix of the signal names at its suspension.
         damper: limits of the coefficient.
-        nominal: coefficient of the linear model [N s/m].
-        ratio: motion ratio at rest. All other numbers, forces and velocities are the damper's own, not those at the wheel, but
-            for those of `Part`.
-        nominal_curve: curve of the nominal damper with the curve parallel to it; None if both are straight.
+        nominal: coefficient in the linear model [N s/m].
+        ratio: motion ratio in equilibrium.
+        nominal_curve: characteristic of the nominal damper, including a characteristic in parallel; None if both are straight.
     """
 
     inputs = 1
@@ -359,67 +387,72 @@ class SettablePart(Part):
 
     @property
     def coefficient(self) -> str:
-        """The signal of the acting coefficient."""
+        """Name of the signal with the actual coefficient."""
         return f"damping{self.ending}"
 
     @property
     def missing(self) -> str:
-        """The signal of the requested force that it does not give."""
+        """Name of the signal with the share of the requested force that the damper cannot give."""
         return f"missing_force{self.ending}"
 
     @property
     def low(self) -> float:
-        """The least coefficient beyond the nominal one [N s/m]."""
+        """Smallest coefficient minus the nominal coefficient [N s/m]."""
         return self.damper.c_min - self.nominal
 
     @property
     def high(self) -> float:
-        """The largest coefficient beyond the nominal one [N s/m]."""
+        """Largest coefficient minus the nominal coefficient [N s/m]."""
         return self.damper.c_max - self.nominal
 
     @property
     def slopes(self) -> tuple[float, float]:
-        """The least and the steepest slope beyond the nominal one [N s/m]."""
+        """Smallest coefficient and steepest slope, both minus the nominal coefficient [N s/m]."""
         return self.low, self.steepest_slope - self.nominal
 
     @property
     def steepest_slope(self) -> float:
-        """The steepest slope of the damper at any setting [N s/m], without a curve that acts in parallel."""
+        """Steepest slope of the damper at any setting [N s/m], without a characteristic that acts in parallel."""
         pair = self.damper.pair
         return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
 
     def shape(self, v: Array) -> Array:
-        """Returns the force per coefficient, h [m/s], at velocities of the damper's own [m/s], shape (...)."""
+        """Returns the force per coefficient, h [m/s], at velocities of the damper itself [m/s], shape (...)."""
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """Returns the force at velocities of the damper's own and coefficients beyond the nominal one [N], shape (...)."""
+        """Returns the force [N], shape (...).
+
+        Args:
+            v: velocities of the damper itself [m/s], shape (...).
+            beyond: coefficients minus the nominal coefficient [N s/m], shape (...).
+        """
         still = self.nominal * np.asarray(v) if self.nominal_curve is None else self.nominal_curve(v)
         return still + beyond * self.shape(v)
 
 
 class Parts(tuple[SuspensionPart, ...]):
-    """Parts of a vehicle, suspension by suspension."""
+    """Parts of a vehicle, ordered by suspension."""
 
     @cached_property
     def with_curve(self) -> tuple[SuspensionPart, ...]:
-        """Parts with a curve."""
+        """Parts that have a characteristic."""
         return tuple(one for one in self if one.part.curve is not None)
 
     @cached_property
     def nonlinear(self) -> bool:
-        """True if a force differs from its line before a contact."""
+        """True if a force differs from its linearisation while no bump stop or other contact acts."""
         return any(one.part.is_nonlinear and not one.part.contact for one in self)
 
     @cached_property
     def adjustable(self) -> tuple[SettablePart, ...]:
-        """Adjustable dampers, each with its motion ratio at rest."""
+        """Semi-active dampers, each with its motion ratio in equilibrium."""
         own = ((getattr(one.part, "part", one.part), one.ratio) for one in self)
         return tuple(replace(part, ratio=ratio) for part, ratio in own if isinstance(part, SettablePart))
 
     @cached_property
     def strokes(self) -> Mapping[str, Mapping[str, float]]:
-        """Travel from rest to every bump stop at the wheel [m], by deflection and by side, `bump` or `rebound`."""
+        """Travel at the wheel from equilibrium to every bump stop [m], by deflection and by side (`bump` or `rebound`)."""
         strokes = dict[str, dict[str, float]]()
         for one in self:
             for limit in one.part.limits() if one.part.contact else ():
@@ -430,7 +463,7 @@ class Parts(tuple[SuspensionPart, ...]):
 
 @dataclass(frozen=True)
 class Straight(Part):
-    """Line of another part, with signals of that part's own states."""
+    """Linearisation of another part, as a part. It has the signals of that part's own states."""
 
     at_rest: Line
     own: "tuple[Signal, ...]" = ()
@@ -462,13 +495,14 @@ class Straight(Part):
 
 
 class Stack:
-    """Parts of N runs at k suspensions, evaluated together where they differ in numbers alone."""
+    """Parts of N runs at k suspensions, evaluated together if they differ only in their numbers."""
 
     def __init__(self, parts: Sequence[Sequence[Part]], line: bool = False) -> None:
-        """Takes k parts for each run, which differ in numbers alone, or of one run for any number of runs.
+        """Groups the parts.
 
         Args:
-            line: True adds the line's force without that of the input to what is beyond it.
+            parts: k parts for each run, or the k parts of one run for any number of runs. They differ only in their numbers.
+            line: True to add the linearised force, without that of the input, to the nonlinear force.
         """
         groups: list[tuple[list[Part], list[int]]] = []
         for i, row in enumerate(parts):
@@ -486,23 +520,29 @@ class Stack:
 
     def beyond(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         """See `Part.beyond`, for arrays of shape (..., N, k)."""
-        if len(self._groups) == 1 and not self._line:  # in each stage of a step
+        if len(self._groups) == 1 and not self._line:  # this runs in each stage of a step
             return self._groups[0][0].beyond(d, v, z, u)
         if not self._line:
             return self._rows(lambda part, *at: part.beyond(*at), d, v, z, u)
         return self._rows(lambda part, d, v, z, u: part.beyond(d, v, z, u) + part.line(d, v, 0.0, z), d, v, z, u)
 
     def inertance(self, d: Array) -> Array:
-        """Returns the inertances beyond the line, or with those of the line [kg], shape (..., N, k)."""
+        """Returns the inertances minus those of the linearisation, or the whole inertances if `line` is set [kg].
+
+        The shape is (..., N, k).
+        """
         least = 0.0 if self._line else 1.0
         return self._rows(lambda part, d, *_: part.inertance_at(d) - least * part.line.inertance, d, d, None, 0.0)
 
     def rate(self, d: Array, v: Array, z: Any, u: Any = 0.0) -> Array:
-        """Returns the rates of states, beyond the line unless it is added, for arrays (..., N, k) and states (..., N, k, n)."""
+        """Returns the rates of the own states, minus the linearised rates unless `line` is set.
+
+        Deflections and velocities have the shape (..., N, k), states the shape (..., N, k, n).
+        """
         return self._rows(lambda part, *at: part.rate(*at) if self._line else part.rate_beyond(*at), d, v, z, u, z.shape)
 
     def _rows(self, of: Callable[..., Array], d: Array, v: Array, z: Any, u: Any, shape: tuple[int, ...] = ()) -> Array:
-        """Returns a function of part, d, v, z and u for the rows of each group."""
+        """Evaluates a function of part, d, v, z and u for the rows of each group, and returns all rows."""
         if len(self._groups) == 1:
             return of(self._groups[0][0], d, v, z, u)
         total, at = np.empty(shape or np.shape(d)), (slice(None),) * (np.ndim(d) - 2)
@@ -513,7 +553,7 @@ class Stack:
 
 
 def choose_runs(part: Any, which: Array | slice) -> Any:
-    """Returns a part of N runs for some of these, from a part whose numbers may be arrays of shape (N,)."""
+    """Returns a part for selected runs, from a part of N runs whose numbers may be arrays of shape (N,)."""
     if isinstance(which, slice):
         return part
     own = object.__new__(type(part))
@@ -525,12 +565,15 @@ def choose_runs(part: Any, which: Array | slice) -> Any:
 
 
 def alike(one: Part, other: Part) -> bool:
-    """Returns True for parts that differ in numbers alone."""
+    """Returns True if two parts differ only in their numbers."""
     return merge_parts([one, other], (2,)) is not None
 
 
 def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
-    """Returns parts that differ in numbers alone as one, whose numbers are arrays of a shape; None if they differ in more."""
+    """Combines parts that differ only in their numbers into one part, whose numbers are arrays of the given shape.
+
+    Returns None if the parts differ in anything else.
+    """
     first = parts[0]
     if all(part is first for part in parts):
         return first
@@ -556,6 +599,7 @@ def merge_parts(parts: Sequence[Part], shape: tuple[int, ...]) -> Part | None:
             return None
     if not changed:
         return first
-    together = object.__new__(type(first))  # without `__post_init__`, whose rules hold for each and read single numbers
+    # Without `__post_init__`, which checks single numbers and has already checked each part
+    together = object.__new__(type(first))
     vars(together).update({one.name: changed.get(one.name, getattr(first, one.name)) for one in fields(first)})  # pyright: ignore[reportArgumentType]
     return together

@@ -1,4 +1,4 @@
-"""Parts of a vehicle, placed at the wheels of its suspensions."""
+"""Placement of all parts of a vehicle at the wheels of its suspensions."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from models.parts.ratio import AtRatio, Constant
 
 
 def parts_of(vehicle: Any) -> Parts:
-    """Returns the parts of a vehicle beyond its linear springs and dampers, at the wheels, suspension by suspension."""
+    """Returns the parts of a vehicle in addition to its linear springs and dampers, at the wheels, ordered by suspension."""
     placed, kind, classes = list[SuspensionPart](), vehicle.kind, PARTS.load_all().values()
     for place in kind.suspensions:
         rows = [(part, parameter, "") for one in classes for part, parameter in one.of(vehicle, place)]
@@ -26,7 +26,7 @@ def parts_of(vehicle: Any) -> Parts:
 
 
 def _element(vehicle: Any, place: Any, one: Any) -> Part:
-    """Returns the part of an element at a suspension, whose voltage a controller may set."""
+    """Returns the part of an element at a suspension. A controller may set its voltage."""
     damper = vehicle.dampers.get(place.force)
     if getattr(damper, "name", None) != one.name:
         return one.part

@@ -1,6 +1,7 @@
-"""Springs, dampers and stops that are probably in another unit or of the other sign.
+"""Warnings about springs, dampers and stops that probably have the wrong unit or the wrong sign.
 
-A number is remarked if it is about 30 times what is usual, or a thirtieth. Mistakes between mm and m or N and kN are larger.
+A warning appears if a number is about 30 times larger or smaller than usual. A mistake between mm and m, or between N and kN,
+is a factor of 1000.
 """
 
 import math
@@ -13,17 +14,20 @@ from models.kinds.kind import GRAVITY
 from models.parts.stops.stop import Stop, StopTable
 
 WEAKEST, FIRMEST = 0.01, 10.0  # damping ratio of a measured damper
-FASTEST = 5.0  # m/s: a table beyond it is of a firm damper, or in inches
-REVERSED_RATIO = 1.6  # compression force over extension force, as of a table with the other sign
-SHORTEST, LONGEST = 5e-3, 2.0  # m, of a table
-WEAKEST_STOP, FIRMEST_STOP = 1 / 30, 100.0  # largest force of a table over the load on the suspension
+FASTEST = 5.0  # m/s: a table with larger velocities belongs to a firm damper, or is in inches
+REVERSED_RATIO = 1.6  # compression force over extension force; above this ratio, the sign of the table is probably reversed
+SHORTEST, LONGEST = 5e-3, 2.0  # m, plausible range of the largest deflection in a table
+# Plausible range of the largest force of a table, over the static load on the suspension
+WEAKEST_STOP, FIRMEST_STOP = 1 / 30, 100.0
 
 
 def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | None) -> Iterator[str]:
-    """Yields remarks on a damper's curve, or on the two of a semi-active one.
+    """Yields warnings about the characteristic of a damper, or about the two characteristics of a semi-active damper.
 
     Args:
-        critical: critical damping at the damper [N s/m]; None if it is unknown.
+        softest: characteristic at the softest setting.
+        firmest: characteristic at the firmest setting; the same for a passive damper.
+        critical: critical damping coefficient at the damper [N s/m]; None if it is unknown.
     """
     v = min(-firmest.x[0], firmest.x[-1])
     if critical:
@@ -42,15 +46,16 @@ def damper_doubts(softest: ForceCurve, firmest: ForceCurve, critical: float | No
 
 
 def length_doubts(length: float) -> Iterator[str]:
-    """Yields a remark on the largest deflection of a spring's or a stop's table [m]."""
+    """Yields a warning about the largest deflection in the table of a spring or stop [m]."""
     if not SHORTEST <= length <= LONGEST:
         yield f"the table ends at {round(length, 5):g} m; check that its deflections are in m"
 
 
 def stop_doubts(stop: Stop, load: float | None) -> Iterator[str]:
-    """Yields remarks on the table of a bump stop.
+    """Yields warnings about the table of a bump stop.
 
     Args:
+        stop: the bump stop.
         load: static load at the stop [N]; None if it is unknown.
     """
     if isinstance(law := stop.stiffness, StopTable):
@@ -61,7 +66,7 @@ def stop_doubts(stop: Stop, load: float | None) -> Iterator[str]:
 
 
 def suspension_doubts(vehicle: Any) -> list[str]:
-    """Returns remarks on tables of springs, dampers and stops that are probably in another unit or of the other sign."""
+    """Returns warnings about tables of springs, dampers and stops that probably have the wrong unit or sign."""
     kind, parameters, curves, dampers = vehicle.kind, vehicle.parameters, vehicle.curves, vehicle.dampers
     loads, wheel, stops = kind.static_loads(parameters), kind.at_wheels(parameters), vehicle.limits.stops(kind.suspensions)
     doubts = dict[str, None]()

@@ -1,11 +1,12 @@
-"""Any part through a motion ratio: the travel of the part's own ends per travel of the wheel, constant or over travel.
+"""Any part with a motion ratio: the travel between the part's own ends, divided by the travel of the wheel.
 
-With the ratio r(d), the part's own travel D, which is the integral of r from rest, and the load W that the part carries at rest,
+The ratio is constant or depends on the travel. The part's own travel D(d) is the integral of the ratio r(d) from equilibrium.
+With the load W at the wheel that the part carries in equilibrium, the force at the wheel is
 
     F(d, v) = r(d) (f(D(d), r(d) v) - N) + W,    N = W / r(0),    F'(0) = r(0)^2 f'(0) - r'(0) N.
 
-Where r' differs on both sides of rest, the line has its mean. The force b (r v' + r' v^2) of an inertial part in its own travel
-is r^2 b v' + b r r' v^2 at the wheel.
+If r' differs on both sides of equilibrium, the linearisation uses the mean. An inertial part with the force b D'' in its own
+travel has the force r^2 b v' + b r r' v^2 at the wheel.
 """
 
 import functools
@@ -22,7 +23,7 @@ from models.common.arrays import Array
 from models.parts.native import Tendon
 from models.parts.part import CURVE, Limit, Line, Number, Part
 
-FINE = 801  # points of a spring's curve over travel
+FINE = 801  # points of a spring's characteristic over travel
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,12 @@ class Constant:
 
 @dataclass(frozen=True, eq=False)
 class AtRatio(Part):
-    """Part at a motion ratio.
+    """Part with a motion ratio.
 
     Attributes:
-        part: the part, in its own travel and force.
+        part: the part, in terms of its own travel and force.
         table: the motion ratio over travel, or `Constant`.
-        scale: factor on its ratios.
+        scale: factor on the ratios of the table.
         load: W [N].
     """
 
@@ -98,7 +99,7 @@ class AtRatio(Part):
         return bool(np.any(self.load))
 
     @cached_property
-    def _lift(self) -> Any:  # of a load per ratio
+    def _lift(self) -> Any:  # load at the part's own ends, before the factor `scale`
         return self.load / self.table.at_rest
 
     def own_motion(self, d: Array, v: Array) -> tuple[Array, Array]:
@@ -130,12 +131,12 @@ class AtRatio(Part):
 
     @property
     def kinked_at_rest(self) -> bool:
-        """See `Part.kinked_at_rest`: a table with a kink at rest bends the force of a preload."""
+        """See `Part.kinked_at_rest`. A kink of the motion ratio at equilibrium also causes a kink in the force of a preload."""
         return self.part.kinked_at_rest or bool(self.load and super().kinked_at_rest)
 
     @cached_property
     def range(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.range`: within the table of the ratio and those of the part."""
+        """See `Part.range`. The range is limited by the tables of the ratio and of the part."""
         if (curve := self.curve) is not None:
             return curve.range
         most = 1.0 if isinstance(self.table, Constant) else float(np.max(self.table.ratio))
@@ -143,7 +144,7 @@ class AtRatio(Part):
 
     @cached_property
     def curve(self) -> ForceCurve | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """See `Part.curve`: of a spring all points of a fine table, of a damper a `ForceSurface`."""
+        """See `Part.curve`. For a spring, it has all points of a fine table; for a damper, it is a `ForceSurface`."""
         own = self.part.curve
         if own is None or isinstance(self.table, Constant):
             return own and own.at_wheel(self.scale)
@@ -155,7 +156,11 @@ class AtRatio(Part):
         return ForceCurve(x, force, float(self.line.stiffness), f"{own.words}, at its motion ratio")
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the part's limits at the wheel; over travel those of a curve become one of the force, which depends on more."""
+        """Returns the limits of the part, converted to the wheel.
+
+        If the ratio changes with travel, the limit of a characteristic becomes a limit of the force, because the force then
+        depends on deflection and velocity.
+        """
         own, constant = self.part.limits(), isinstance(self.table, Constant)
         limits = [self._at_wheel(limit) for limit in own if constant or limit.end != CURVE]
         return limits if constant else [*limits, *super().limits()]
@@ -176,10 +181,11 @@ class AtRatio(Part):
 
 @dataclass(frozen=True, eq=False)
 class Sum(Part):
-    """Sum of parts without states, of which at most one has an input.
+    """Sum of two parts without states. At most one of them has an input.
 
     Attributes:
-        first, second: the parts, of which each may be a sum.
+        first: the first part, which may be a sum.
+        second: the second part, which may be a sum.
     """
 
     first: Part
@@ -201,7 +207,10 @@ class Sum(Part):
 
 
 def together(parts: Sequence[Part]) -> Part | None:
-    """Returns parts through the same motion ratio over travel as one part, which asks the ratio once; None for other parts."""
+    """Combines parts with the same motion ratio over travel into one part, so that the ratio is evaluated only once.
+
+    Returns None for other parts.
+    """
     own = [part for part in parts if isinstance(part, AtRatio) and not part.states]
     first = own[0] if own else None
     if first is None or len(own) < len(parts) or isinstance(first.table, Constant) or sum(part.inputs for part in own) > 1:

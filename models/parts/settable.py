@@ -1,13 +1,14 @@
-"""Force elements whose voltage a suspension's controller sets, as magnetorheological dampers, instead of an actuator's force.
+"""Force elements whose voltage a controller sets, such as magnetorheological dampers. They replace force actuators.
 
-An element pulls with F(d, v, z, u) at a voltage u beyond the one without a command. Its controller requests a force u* beyond
-that of the element without a command, as of an adjustable damper (`models.characteristics.adjustable_range`). At the sample the
-element takes the voltage from 0 to its largest whose force
+An element pulls with F(d, v, z, u), where u is the voltage relative to the voltage without a command. The controller requests a
+force u* in addition to the force of the element without a command, as for other semi-active dampers
+(`models.characteristics.adjustable_range`). At each sample, the element receives a voltage between 0 and its largest voltage.
+This voltage brings the force
 
     -(F(d, v, z, u) - F(d, v, z, 0))
 
-is nearest to u*, at the motion and the states then, and has this voltage until the next sample. If several voltages have such
-a force, the element takes the nearest to the voltage without a command.
+as close as possible to u*, for the motion and the states at the sample. The voltage is held until the next sample. If several
+voltages give the same force, the element receives the one closest to the voltage without a command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,16 +24,16 @@ from models.kinds.kind import Suspension
 from models.parts.native import Tendon
 from models.parts.part import Limit, Number, Part, SettablePart, Straight
 
-SAME = 1e-12  # of the forces: a smaller difference is rounding
-SPEED = 1.0  # m/s, at which a coefficient stands for an element
+SAME = 1e-12  # relative difference of forces; smaller differences are rounding errors
+SPEED = 1.0  # velocity [m/s] at which a damping coefficient is computed to represent the element
 
 
 @dataclass(frozen=True)
 class ElementDamper(Damper):
-    """Element of `[parts]` as an adjustable damper, with its coefficients at 1 m/s, at 0 V and at its largest voltage.
+    """Element of `[parts]` as a semi-active damper. Its coefficients are those at 1 m/s, at 0 V and at the largest voltage.
 
     Attributes:
-        name: name of its section.
+        name: name of the element's section.
         element: the element.
     """
 
@@ -43,7 +44,7 @@ class ElementDamper(Damper):
 
     @classmethod
     def of(cls, one: Any) -> "ElementDamper":
-        """Returns the adjustable damper that an element is."""
+        """Returns the semi-active damper that represents an element."""
         part: Any = one.part
         low, high = (float(part.after_yield(np.array(SPEED), u)) / SPEED for u in part.settable)
         return cls(low, high, part.bandwidth, None, one.name, part)
@@ -58,22 +59,22 @@ class ElementDamper(Damper):
 
     @staticmethod
     def together(dampers: Sequence["ElementDamper"], shape: tuple[int, ...]) -> "ElementDamper":
-        """Returns one of several dampers that differ in numbers alone: `SetElement` reads these from its element."""
+        """Returns one damper for several dampers that differ only in their numbers; `SetElement` uses those of its element."""
         return dampers[0]
 
 
 def _of(part: str, name: str) -> Any:
-    """Returns a property that is another part's."""
+    """Returns a property that reads the property with this name from an attribute of the object, which is another part."""
     return property(lambda self: getattr(getattr(self, part), name))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SetElement(SettablePart):
-    """Element with its voltage as the input, in its own travel.
+    """Element whose input is its voltage, before the motion ratio.
 
     Attributes:
         element: the element.
-        without: the element without a command, or its line.
+        without: the element without a command, or its linearisation.
     """
 
     element: Any
@@ -86,17 +87,17 @@ class SetElement(SettablePart):
 
     @property
     def coefficient(self) -> str:
-        """The signal of the acting voltage."""
+        """Name of the signal with the actual voltage."""
         return f"voltage{self.ending}"
 
     @property
     def low(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The least voltage beyond the one without a command [V]."""
+        """Smallest voltage relative to the voltage without a command [V]."""
         return self.element.settable[0]
 
     @property
     def high(self) -> Number:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The largest voltage beyond the one without a command [V]."""
+        """Largest voltage relative to the voltage without a command [V]."""
         return self.element.settable[1]
 
     @property
@@ -116,18 +117,27 @@ class SetElement(SettablePart):
         return self.without.stored(d, z)
 
     def push(self, d: Array, v: Array, z: Any, u: Array | float, before: Array | float = 0.0) -> Array:
-        """Returns the force at voltages u beyond that at other ones, positive if it pushes [N], shape (...)."""
+        """Returns the pushing force at voltages u minus the pushing force at voltages `before` [N], shape (...).
+
+        Args:
+            d: extension of the suspension [m], shape (...).
+            v: rate of the extension [m/s], shape (...).
+            z: own states, shape (..., n).
+            u: voltages [V], relative to the voltage without a command.
+            before: voltages to compare with [V], relative to the voltage without a command.
+        """
         return self.element.pull(d, v, z, before) - self.element.pull(d, v, z, u)
 
     def force_at(self, v: Array, beyond: Array | float) -> Array:
-        """See `SettablePart.force_at`: after yield, without springs."""
+        """See `SettablePart.force_at`. The force is that after yield, without springs."""
         return self.element.after_yield(v, beyond)
 
     def setting(self, force: Array, d: Array, v: Array, z: Any) -> Array:
-        """Returns the voltages beyond the one without a command whose forces are nearest to requested ones [V], shape (...).
+        """Returns the voltages at which the element comes closest to requested forces [V], shape (...).
 
-        The pull times `Part.divisor` is a parabola in the voltage. So the pull is the requested one at roots of a parabola, and
-        has its extremes at the ends and at roots of another parabola.
+        The voltages are relative to the voltage without a command. `pull` times `Part.divisor` is a quadratic function of the
+        voltage. Therefore, the voltages at which the pull equals the requested pull are roots of a quadratic equation. Its
+        extremes are at the ends of the range and at the roots of another quadratic equation.
         """
         low, high, pull = self.low, self.high, self.element.pull
         wanted, wide = pull(d, v, z, 0.0) - force, high - low
@@ -157,27 +167,29 @@ class SetElement(SettablePart):
 
 
 def _roots(a: Array, b: Array, c: Array) -> list[Array]:
-    """Returns the roots of a x^2 + b x + c, also if a is 0; not a number if they are complex."""
+    """Returns the roots of a x^2 + b x + c, even if a is 0; NaN if they are complex."""
     q = -(b + np.where(b < 0, -1.0, 1.0) * np.sqrt(b * b - 4 * a * c)) / 2
     return [q / a, c / q]
 
 
 def set_element(damper: ElementDamper, place: Suspension, part: Part) -> SetElement:
-    """Returns an element at a suspension whose controller sets its voltage; `part` is the element or its line."""
+    """Returns an element at a suspension whose controller sets its voltage. `part` is the element or its linearisation."""
     return SetElement(place.force, place.ending, damper, damper.element.voltage, element=damper.element, without=part)
 
 
 def element_dampers(
     elements: Sequence[Any], suspensions: Sequence[Suspension], actuators: Mapping[str, Any], limited: Sequence[str]
 ) -> dict[str, ElementDamper]:
-    """Returns the elements whose voltage is set as adjustable dampers, by the force that each replaces.
+    """Returns the elements whose voltage a controller sets as semi-active dampers, by the force that each replaces.
 
     Args:
-        actuators: `[actuators]` of the vehicle file.
-        limited: keys of `[limits]` for actuators.
+        elements: all elements of the vehicle.
+        suspensions: suspensions of the vehicle.
+        actuators: section `[actuators]` of the vehicle file.
+        limited: keys of `[limits]` that limit force actuators.
 
     Raises:
-        InputError: the suspension has another actuator, or none, or `[limits]` limits actuators that push.
+        InputError: the suspension has another actuator or no actuator, or `[limits]` limits force actuators.
     """
     dampers = dict[str, ElementDamper]()
     for one in elements:

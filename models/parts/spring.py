@@ -1,4 +1,4 @@
-"""Spring with a curve of force over deflection: `[curves] suspension_stiffness`."""
+"""Spring with a characteristic of force over deflection: `[curves] suspension_stiffness`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class SpringCurve(Characteristic):
-    """Spring with a curve."""
+    """Spring with a characteristic."""
 
     argument = "deflection"
     replaces = "stiffness", DEFLECTION
@@ -30,7 +30,10 @@ class SpringCurve(Characteristic):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the spring of a suspension: its curve, or its line where the motion ratio turns the line over travel."""
+        """Yields the spring of a suspension.
+
+        The spring has a characteristic, or is a linear spring with a motion ratio that changes with travel.
+        """
         name, curve = place.stiffness, vehicle.curves.get(place.stiffness)
         if curve is not None:
             yield cls.with_slope(curve, vehicle.parameters[name]), name

@@ -1,4 +1,4 @@
-"""Damper whose force is a table over velocity and deflection: `[curves] suspension_damping` with both."""
+"""Damper whose force is a table over velocity and deflection, as given by `[curves] suspension_damping`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from models.parts.part import Part
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDamper(Characteristic):
-    """Force r a f(r v, r d), with f a surface; as a `Characteristic`, its section at deflection 0."""
+    """Force r a f(r v, r d) with a table f. The methods of `Characteristic` use the section of the table at deflection 0."""
 
     argument = "velocity"
     native = False
@@ -23,11 +23,11 @@ class SurfaceDamper(Characteristic):
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
         return self.ratio * self.factor * self.own.along(self.ratio * v, self.ratio * d)
 
-    beyond, limits = Part.beyond, Part.limits  # those of the section hold at deflection 0 alone
+    beyond, limits = Part.beyond, Part.limits  # those of `Characteristic` are valid only at deflection 0
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the damper of a suspension, if its table is over velocity and deflection."""
+        """Yields the damper of a suspension if its table is over velocity and deflection."""
         curve = vehicle.curves.get(place.damping)
         if isinstance(curve, ForceSurface):
             yield cls.with_slope(curve, vehicle.parameters[place.damping]), place.damping

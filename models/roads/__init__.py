@@ -1,1 +1,1 @@
-"""Roads and loads: excitation of a vehicle, with exact derivatives."""
+"""Roads and loads that excite a vehicle, with exact time derivatives."""

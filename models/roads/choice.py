@@ -1,4 +1,4 @@
-"""Roads by name: converts the text `KIND[:NAME=VALUE...]` of a command line or a campaign file to a road."""
+"""Roads by name: converts the text `KIND[:NAME=VALUE...]` of a command line or campaign file to a road."""
 
 import re
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ class RoadChoice:
 
     Attributes:
         text: text of the choice.
-        road: the road at its usual speed; the surface of an OpenCRG file.
+        road: the road at its default speed; for an OpenCRG file, its surface.
         loads: loads on the body, in addition to the road.
     """
 
@@ -47,7 +47,7 @@ class RoadChoice:
 
     @property
     def stationary(self) -> bool:
-        """True if the response becomes stationary, so that measurement starts once a vehicle has forgotten its start."""
+        """True if the response becomes stationary. Measurement then starts after the transient response has decayed."""
         return self.random and not self.loads
 
     @property
@@ -56,14 +56,19 @@ class RoadChoice:
         return self.road if isinstance(self.road, Profile) else None
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
-        """Returns the road.
+        """Returns the road for a vehicle.
 
         Args:
+            vehicle: the vehicle, whose track width a road with two tracks needs.
             speed: vehicle speed [m/s].
-            distance: distance driven [m], over which a random road does not repeat.
+            seed: seed of a random road.
+            distance: driven distance [m], over which a random road does not repeat.
+
+        Returns:
+            The road, including its loads.
 
         Raises:
-            InputError: a number that is not allowed.
+            InputError: a number is not allowed.
         """
         road = self.road
         if isinstance(road, Iso8608):
@@ -76,14 +81,18 @@ class RoadChoice:
 
 
 def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
-    """Returns the `RoadChoice` of a text; its `build` makes the road for a vehicle.
+    """Reads a road from a text, such as "bump:height=0.05" or "road.csv".
 
     Args:
-        text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
-        folder: base of relative file names.
+        text: name of a road with numbers, or name of a file. Loads follow after " + ". Examples: `iso8608:class=C`,
+            `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
+        folder: folder to which file names are relative.
+
+    Returns:
+        The chosen road. Its method `build` returns a `Road` for a vehicle, a speed, a seed and a distance.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, a file that is not a profile.
+        InputError: a name of a road or number is unknown, a value is not allowed, or a file is not a profile.
 
     Example:
         >>> from models import choose_road, read_vehicle
@@ -97,7 +106,7 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
 
 
 def _choose(text: str, folder: Path) -> RoadChoice:
-    """Returns a road without loads, as `choose_road`."""
+    """Reads a road without loads; see `choose_road`."""
     where, file, (kind, colon, rest) = f"road {text!r}:", FILE.fullmatch(text), text.partition(":")
     if kind == "rig":
         return RoadChoice(text, _rig(where, text, folder))
@@ -110,7 +119,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
 
 
 def _unread(text: str, folder: Path) -> str:
-    """Returns a message on a text that is an existing file of another type; else an empty text."""
+    """Returns a message if a text is the name of an existing file that cannot be read; otherwise an empty text."""
     path = path_from(text, folder)
     if not path.exists():
         path = path_from(re.sub(r"(:\w+=[^:]*)+$", "", text), folder)
@@ -124,7 +133,7 @@ def _unread(text: str, folder: Path) -> str:
 
 
 def _road_of_file(where: str, name: str, crg: bool, settings: str, folder: Path) -> Profile | Surface:
-    """Returns the road of a file."""
+    """Returns the road in a file."""
     from models.roads.profile_file import TableSettings, read_profile
 
     path, own = path_from(name, folder), " an OpenCRG file contains its own units and interpolation, and" * crg

@@ -1,4 +1,7 @@
-"""Roads as tables, in logs and in files of the gallery: `type` names the class of a road, and the other keys are its fields."""
+"""Roads as tables, in logs and in files of the gallery.
+
+The key `type` gives the class of a road; the other keys are its fields.
+"""
 
 import math
 from collections.abc import Mapping
@@ -19,17 +22,18 @@ from models.vehicle.names import PLUS
 
 DescribedRoad = Obstacle | Iso8608 | Multisine
 ROADS: Mapping[str, type[DescribedRoad]] = {"iso8608": Iso8608, **OBSTACLES, **dict.fromkeys(MULTISINES, Multisine)}
-SAME = 1e-12  # relative rounding of numbers that follow from others
+SAME = 1e-12  # relative rounding error of numbers that are computed from others
 
 
 def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
-    """Returns the road of a table.
+    """Returns the road that a table describes.
 
     Args:
         where: place of the table, for messages.
+        table: the table, with the key `type`.
 
     Raises:
-        InputError: the type is unknown, or a key or a value is not allowed.
+        InputError: the type is unknown, or a key or value is not allowed.
     """
     kind = table.get("type")
     if not isinstance(kind, str) or kind not in ROADS:
@@ -40,14 +44,14 @@ def read_road(where: str, table: Mapping[str, Any]) -> DescribedRoad:
 
 
 def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
-    """Returns the road of a description, the reverse of `Road.describe`.
+    """Returns the road of a description. This is the inverse of `Road.describe`.
 
     Args:
-        description: result of `Road.describe`, through JSON or not.
-        points: `points` of a profile or a rig; None for other roads.
+        description: result of `Road.describe`, possibly after conversion to JSON and back.
+        points: `points` of a profile or rig; None for other roads.
 
     Raises:
-        InputError: the description is not that of a road, or not complete.
+        InputError: the description does not belong to a road, or is not complete.
     """
     kind, where = description.get("type"), f"road {description.get('type')}:"
     if "loads" in description:

@@ -1,21 +1,24 @@
 """International Roughness Index (IRI) of any road: response of the golden car over a distance, or on average.
 
-M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile", Transportation Research
-Record 1501, 1-12; ASTM E1926: a quarter-car of fixed numbers drives at 80 km/h over the heights h_i of one track, sampled every
-`step`. Its tyre follows the moving average over 250 mm, so a slope that is constant from sample to sample:
+Source: M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile",
+Transportation Research Record 1501, 1-12; ASTM E1926. The golden car, a quarter-car with fixed parameters, drives at 80 km/h
+over the heights h_i of one track, sampled every `step`. Its tyre follows the moving average over 250 mm, so the slope is
+constant between samples:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
-It starts in motion along the mean slope of the first 11 m. IRI is the mean rectified slope of its suspension, |z_s' - z_u'| / V.
-Held slopes are a state transition from sample to sample, which is exact. Here it is summed by the car's modes.
+The car starts in steady motion along the mean slope of the first 11 m. The IRI is the mean rectified slope of its suspension,
+|z_s' - z_u'| / V. For slopes that are constant between samples, the state transition is exact. It is computed here in the modes
+of the car.
 
-A profile with evenly spaced points is used as it is; any other road is sampled every 25 mm. A vehicle with two tracks has one
-IRI for each, `left` and `right`; `mean` is the mean of the two (MRI), `half_car` that of the mean of the two profiles
-(HRI), in which a road's twist is missing. Names: M. W. Sayers and S. M. Karamihas (1998), "The little book of profiling", UMTRI.
+A profile with evenly spaced points is used unchanged; any other road is sampled every 25 mm. A vehicle with two tracks has an
+IRI for each track, `left` and `right`. `mean` is the mean of both (MRI). `half_car` is the IRI of the mean of both profiles
+(HRI), which does not contain the warp of the road. Names: M. W. Sayers and S. M. Karamihas (1998), "The little book of
+profiling", UMTRI.
 
-The car's answer y to a random road is Gaussian, of variance s^2, so E|y| = sqrt(2/pi) s; and with the correlation rho(x) of two
-places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). From this follows the standard deviation of the mean
-over a distance, from road to road.
+On a random road, the response y of the car is Gaussian with the variance s^2, so E|y| = sqrt(2/pi) s. With the correlation
+rho(x) of two places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). This gives the standard deviation of the
+mean over a distance, from road to road.
 """
 
 import math
@@ -30,13 +33,13 @@ from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency, slope_power
 from models.vehicle.vehicle import Vehicle
 
-SPEED = 80 / 3.6  # m/s
+SPEED = 80 / 3.6  # m/s, speed of the golden car
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
 BASE = 0.25  # m, length of the moving average
-SETTLING_DISTANCE = 100.0  # m, after which 1e-5 is left of the start
-FORGOTTEN = 1e-18  # relative decay at which a response is cut off, below rounding
+SETTLING_DISTANCE = 100.0  # m, after which the effect of the start has decayed to 1e-5
+FORGOTTEN = 1e-18  # relative decay at which a response is truncated; it is below the rounding error
 
-# States are z_s, z_s', z_u, z_u', each over the distance as the profile's slope is, of which they are the response.
+# The states are z_s, z_s', z_u and z_u'. Time derivatives are per distance, like the slope of the profile, which is the input.
 A = np.array(
     [
         [0.0, 1.0, 0.0, 0.0],
@@ -53,14 +56,14 @@ def roughness_index(heights: Array, step: float) -> float:
     """Returns the IRI of a profile [m/km].
 
     Args:
-        heights: heights of one track [m], shape (P,), over at least 11 m.
+        heights: heights of one track [m], over at least 11 m, shape (P,).
         step: distance between heights [m].
     """
     return 1e3 * float(np.abs(suspension_slopes(heights, step)).mean())
 
 
 def suspension_slopes(heights: Array, step: float) -> Array:
-    """Returns (z_s' - z_u') / V after every sample [-], shape (P - b,).
+    """Returns the suspension slope (z_s' - z_u') / V after every sample [-], shape (P - b,).
 
     Args:
         heights: heights of one track [m], shape (P,).
@@ -68,7 +71,7 @@ def suspension_slopes(heights: Array, step: float) -> Array:
     """
     base, first = _samples(step), min(max(round(START / step), 1), len(heights))
     slopes = (heights[base:] - heights[:-base]) / (base * step)
-    start = (heights[first - 1] - heights[0]) / (step * first)  # as the listing of 1995 has it
+    start = (heights[first - 1] - heights[0]) / (step * first)  # as in the program listing of 1995
     answer, settling, size = _answers(step, len(slopes))
     travel_slopes = np.fft.irfft(np.fft.rfft(slopes, size) * answer, size)[: len(slopes)]
     travel_slopes[: len(settling)] += start * settling
@@ -76,10 +79,10 @@ def suspension_slopes(heights: Array, step: float) -> Array:
 
 
 def slope_response(n: Array, step: float) -> Array:
-    """Returns the response of `suspension_slopes` to a profile's slope at spatial frequencies [cycle/m], shape like n, complex.
+    """Returns the frequency response from a profile's slope to `suspension_slopes`, complex, same shape as n.
 
     Args:
-        n: spatial frequencies, none of them 0.
+        n: spatial frequencies, not 0 [cycle/m].
         step: distance between samples [m].
     """
     rates, of_slopes, _ = _modes(step)
@@ -89,21 +92,24 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(lines: Array, variances: Array) -> Array:
-    """Returns the cumulated deficit of the rms of `suspension_slopes` after the start, relative to its final value [m], every 250
-    mm.
+    """Returns the deficit of the rms of `suspension_slopes` after the start, accumulated over the distance.
 
-    A line's answer is that of a car that has always been on its way, and in each of the car's modes what the start lacks of it.
-    Lines and places are evenly spaced, so that the sum over lines of the products of both is a Fourier transform.
+    The deficit is relative to the final rms, and is given every 250 mm. The response to a sinusoid is the steady-state response
+    plus a transient in each mode of the car. Sinusoids and places are evenly spaced, so the sum over sinusoids of the products
+    of both is a Fourier transform.
 
     Args:
-        lines: spatial frequencies of a random road, in multiples of 1 / `COUNTED_LINES` cycle/m, ascending integers > 0, shape
-            (F,).
+        lines: spatial frequencies of a random road in multiples of 1 / `COUNTED_LINES` cycle/m, ascending positive integers,
+            shape (F,).
         variances: variance of the road's slope at each frequency, shape (F,).
+
+    Returns:
+        Accumulated deficit [m], one value every 250 mm.
     """
     rates, of_slopes, of_start = _modes(STEP)
     base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED_LINES
     turn = np.exp(way * STEP)
-    before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))  # had it always been on its way, behind sample 0
+    before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))  # steady-state response before sample 0, in each mode
     averaged = (turn**base - 1) / (way * base * STEP)
     start = (turn ** (first - 1) - 1) / (way * first * STEP)
     away, moving = start[:, None] * of_start - (averaged / turn)[:, None] * before, averaged * before.sum(axis=-1)
@@ -112,7 +118,7 @@ def missing(lines: Array, variances: Array) -> Array:
     modes, period = (
         np.exp(np.outer(at + 1, rates)),
         round(COUNTED_LINES / (base * STEP)),
-    )  # lines until the same phases come again
+    )  # number of sinusoids after which the phases repeat
     folded = np.zeros((-(-(int(lines[-1]) + 1) // period) * period, len(rates)), dtype=complex)
     folded[lines] = away * (variances * np.conj(moving))[:, None]
     both = np.fft.fft(folded.reshape(-1, period, len(rates)).sum(axis=0), axis=0)[: len(at)]
@@ -129,8 +135,10 @@ def _samples(step: float) -> int:
 
 @lru_cache(maxsize=16)
 def _modes(step: float) -> tuple[Array, Array, Array]:
-    """Returns the car's modes from sample to sample: rates, shares of the response to a slope, and shares of the response to the
-    start.
+    """Returns the modes of the car from sample to sample.
+
+    Returns:
+        Rates of the modes, and their shares in the responses to a slope and to the start.
     """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
@@ -141,9 +149,10 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the transform of the response to a slope, the response to the start up to `FORGOTTEN`, and the transform's size.
+    """Returns the transform of the response to a slope, the response to the start, and the size of the transform.
 
-    Cached, as a campaign needs them for every road. The start acts before the first sample.
+    The response to the start is truncated at `FORGOTTEN`. It begins before the first sample. The result is cached, because a
+    campaign needs it for every road.
     """
     rates, of_slopes, of_start = _modes(step)
     remembered = min(count, math.ceil(math.log(FORGOTTEN) / np.real(rates).max()))
@@ -152,16 +161,17 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
     return np.fft.rfft(np.real(powers[:-1] @ of_slopes), size), np.real(powers[1:] @ of_start), size
 
 
-TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of two tracks
-STEP = 0.025  # m, from sample to sample; a tenth of the moving average
-COARSEST = 0.3  # m; ASTM E1926 defines no IRI for coarser points
-EVEN = 0.01  # of the spacing: so far may the rounding of distances or coordinates change it
-ROUNDING = 1e-6  # relative, of the coarsest spacing
+TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of a vehicle with two tracks
+STEP = 0.025  # m between samples; a tenth of the moving average
+COARSEST = 0.3  # m; ASTM E1926 defines no IRI for a larger spacing
+# Largest variation of the spacing that counts as a rounding error of distances or coordinates, relative to the spacing
+EVEN = 0.01
+ROUNDING = 1e-6  # relative rounding error of the coarsest spacing
 SHORTEST = START + BASE  # m; a shorter profile has no IRI
-LONGEST = 1e5  # m, evaluated at most
-COUNTED_LINES = 512.0  # lines per cycle/m for the start, which is over in a fifth of 512 m
-GRAIN = 4096.0  # lines per cycle/m of a spectrum: a car forgets within a tenth of 4096 m
-LINES = 8192  # per cycle/m, of integrals over a spectrum, whose resonances are a hundred times as wide
+LONGEST = 1e5  # m, largest evaluated distance
+COUNTED_LINES = 512.0  # sinusoids per cycle/m for the start, whose effect ends within a fifth of 512 m
+GRAIN = 4096.0  # sinusoids per cycle/m of a spectrum; a transient of the car ends within a tenth of 4096 m
+LINES = 8192  # points per cycle/m of integrals over a spectrum, whose resonances are a hundred times wider
 
 
 @dataclass(frozen=True)
@@ -169,10 +179,10 @@ class Roughness:
     """An IRI of a road.
 
     Attributes:
-        name: name of the track: `left` or `right`; or `mean` or `half_car` for both tracks.
+        name: name of the track, `left` or `right`; or `mean` or `half_car` for both tracks.
         iri: roughness index of this road [m/km].
-        expected: mean over all roads of its kind [m/km]; None if it has no spectrum.
-        spread: standard deviation of the index from road to road [m/km]; None likewise.
+        expected: mean over all roads with the same spectrum [m/km]; None for a road without a spectrum.
+        spread: standard deviation over these roads [m/km]; None for a road without a spectrum.
     """
 
     name: str
@@ -182,11 +192,14 @@ class Roughness:
 
 
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
-    """Returns every IRI of a road over a distance; empty for a road that is too short, a profile that is too coarse, or a rig.
+    """Returns every IRI of a road over a distance.
+
+    Empty for a road that is too short, for a profile whose points are too far apart, and for a rig.
 
     Args:
         road: the road; a profile ends with its last point.
-        distance: distance driven [m].
+        vehicle: the vehicle, whose track width determines the tracks.
+        distance: driven distance [m].
     """
     if not road.laid:
         return ()
@@ -206,7 +219,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
 
 
 def why_none(road: Road) -> str:
-    """Returns a note that a road from a file has no IRI as its points are too far apart; empty for other roads."""
+    """Returns a note if a road from a file has no IRI because its points are too far apart; empty for other roads."""
     profile = _without_loads(road)
     step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
     coarse = f"no iri: the road's points are {step:.3g} m apart, but ASTM E1926 allows at most {COARSEST:g} m"
@@ -214,32 +227,33 @@ def why_none(road: Road) -> str:
 
 
 def _without_loads(road: Road) -> Road:
-    """Returns a measured road without its loads; others as they are."""
+    """Returns a measured road without its loads; other roads unchanged."""
     felt = road.from_start
     return felt.road if isinstance(felt, Departure) else road
 
 
 def slope_density(iri: float, low: float, high: float, waviness: float) -> float:
-    """Returns the one-sided density [m/cycle] of the slope at `N0`, for a random road with this mean IRI [m/km].
+    """Returns the one-sided density of the slope at `N0` [m/cycle], for a random road with a given mean IRI.
 
     Args:
-        iri: roughness index [m/km].
-        low, high: ends of the band [cycle/m].
-        waviness: exponent of the road's spectrum; with 2 the slope is white.
+        iri: mean roughness index [m/km].
+        low: lower end of the band [cycle/m].
+        high: upper end of the band [cycle/m].
+        waviness: exponent of the road spectrum; for 2, the slope is white.
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high, waviness)
 
 
 @lru_cache(maxsize=16)
 def _unit_variance(low: float, high: float, waviness: float) -> float:
-    """Returns the variance of the car's response to a slope whose density at `N0` is 1 [cycle/m]."""
+    """Returns the variance of the car's response to a slope with the density 1 at `N0` [cycle/m]."""
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2 * slope_power(n, waviness))) * (high - low) / count
 
 
 def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
-    """Returns the spacing of samples [m], and the heights under the tracks of a road [m], shape (P, tracks)."""
+    """Returns the spacing of samples [m], and the heights of a road's tracks [m], shape (P, tracks)."""
     if isinstance(road, Profile):
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
@@ -253,11 +267,11 @@ def _sample_tracks(road: Road, distance: float, sides: tuple[str, ...]) -> tuple
 
 @lru_cache(maxsize=16)
 def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Returns mean and standard deviation of the named IRIs over roads of a spectrum, for a driven distance [m].
+    """Returns mean and standard deviation of the named IRIs over all roads with a spectrum, for a driven distance [m].
 
-    A road's lines have fixed amplitudes, unlike those of a Gaussian signal: over its whole length its mean square is known. The
-    variance left there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. This reduces the part of
-    cov(|y|, |y'|) in rho^2, which stems from y^2 alone. The part in higher powers, in which whole roads differ, stays.
+    Unlike a Gaussian signal, a road has sinusoids with fixed amplitudes, so the mean square over its whole length is known. The
+    remaining variance is 0 on the left track, and 2 a^2 (1 - a^2) on the right track with coherency a. This reduces the term of
+    cov(|y|, |y'|) in rho^2, which is due to y^2 alone. The terms in higher powers remain, because whole roads differ in them.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -273,8 +287,12 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
     weight[0] /= 2
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
-        """Returns mean and standard deviation of the mean of two |y|, from own and common spectrum and the free share of each
-        line's square.
+        """Returns mean and standard deviation of the mean of two |y|.
+
+        Args:
+            own: spectrum of the first signal.
+            other: spectrum of the second signal.
+            free: share of the square of each sinusoid that varies from road to road.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
         for part, times in ((own, 2),) if own is other else ((own, 1), (other, 1)):
@@ -299,7 +317,10 @@ def _expected_indices(spectrum: Spectrum, distance: float, names: tuple[str, ...
 
 
 def _start_distance(low: float, high: float, distance: float) -> float:
-    """Returns the distance that the start takes off the mean [m]: for white slopes, and nearly so for two tracks' mean."""
+    """Returns the distance by which the start reduces the mean [m].
+
+    The result is exact for white slopes, and approximate for the mean of two tracks.
+    """
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])
 

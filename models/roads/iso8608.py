@@ -1,23 +1,26 @@
-"""Random roads of ISO 8608, classes A to H, on two tracks.
+"""Random roads of ISO 8608, classes A to H, with two tracks.
 
-The vertical displacement of a road of a class has the one-sided power spectral density
+The vertical displacement of a road has the one-sided power spectral density
 
-    G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H:
+    G_d(n) = G_d(n0) (n / n0)^-w,    n0 = 0.1 cycle/m,    G_d(n0) = 16e-6, 64e-6, ..., 4^i 16e-6 m^3 for A, B, ..., H.
 
-the geometric means of the classes; their limits are half and twice as much, and A/B is the limit of A and B. The waviness w is 2
-in the standard. A road is a sum of lines n_k = k / length, each with the amplitude sqrt(2 G_d(n_k) / length) and a phase of its
-own, from 0.01 to 10 cycles/m unless another band is given. The standard reports 0.011 to 2.83. The road has no lines below the
-band, which would be hills, nor above it: waves shorter than a tyre's print do not reach the wheel. It repeats after `length`. In
-place of a class, G_d(n0) itself may be given, or the IRI: G_d(n0) is then that of roads with this mean IRI.
+These are the geometric means of the classes. The limits of a class are half and twice its mean; A/B denotes the limit between A
+and B. The waviness w is 2 in the standard. Instead of a class, G_d(n0) may be given, or the International Roughness Index
+(IRI): G_d(n0) is then that of roads with this mean IRI.
 
-The standard leaves the coherence of two tracks to measurement. Here it is that of an isotropic surface, which the one spectrum
-determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J. Sound Vib.
-57, 89-100): tracks b apart have the cross-spectrum that integrates a surface spectrum (n^2 + m^2)^(-(w+1)/2) over m with
-cos(2 pi m b),
+A road is a sum of sinusoids n_k = k / length with the amplitudes sqrt(2 G_d(n_k) / length) and random phases. By default, the
+band is 0.01 to 10 cycle/m; the standard reports 0.011 to 2.83 cycle/m. Below the band, the road would have hills. Above the
+band, waves are shorter than the contact patch of a tyre and do not reach the wheel. The road repeats after `length`.
 
-    coherency(n) = 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) = x K_1(x) for w = 2,    x = 2 pi n b,
+The standard does not define the coherence of two tracks. Here, it is that of an isotropic surface, which the spectrum of one
+track determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J.
+Sound Vib. 57, 89-100). For two tracks at the distance b, the cross-spectrum is the integral over m of the surface spectrum (n^2
++ m^2)^(-(w+1)/2) times cos(2 pi m b). It follows that
 
-real, 1 for long waves and 0 for short ones. The right track is coherency times the left plus the rest of an independent one.
+    coherency(n) = 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) = x K_1(x) for w = 2,    x = 2 pi n b.
+
+The coherency is real, 1 for long waves and 0 for short waves. The right track is the coherency times the left track, plus a
+share of an independent track.
 """
 
 import itertools
@@ -39,18 +42,18 @@ from models.roads.road import Road
 from models.roads.spectrum import N0, Spectrum, coherency
 from models.vehicle.names import CLASSES
 
-LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
-LENGTH = 1024.0  # m
+LOWEST, HIGHEST = 0.01, 10.0  # cycle/m, default band
+LENGTH = 1024.0  # m, default length
 IRI = SI("m/km", "mean IRI of such roads before the factor, instead of a class", 0.01, 300.0)  # class H has 200
-BAND = (1e-3, 100.0)  # cycle/m
-BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
-FEW = 10  # times; more, if evenly spaced, are faster by transform
-FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
-MOST_KEPT = 200_000  # times whose sum is cached, 1.6 MB
+BAND = (1e-3, 100.0)  # cycle/m, range of allowed bands
+BLOCK = 1_000_000  # number of terms that are summed together if times are not evenly spaced
+FEW = 10  # times; for more evenly spaced times, a transform is faster
+FAST = (2, 3, 5, 7, 11)  # prime factors for which NumPy's transforms are fast
+MOST_KEPT = 200_000  # largest number of times whose sum is cached (1.6 MB)
 
 
 def roughness(road_class: str) -> float:
-    """Returns G_d(n0) of a class [m3], its geometric mean, or of the limit of two, such as "A/B".
+    """Returns G_d(n0) of a class [m3]: its geometric mean, or the limit between two classes, such as "A/B".
 
     Raises:
         InputError: the class does not exist.
@@ -62,28 +65,35 @@ def roughness(road_class: str) -> float:
 
 
 def roughness_by_iri(iri: float, lowest: float = LOWEST, highest: float = HIGHEST, waviness: float = 2.0) -> float:
-    """Returns G_d(n0) [m3] of roads with this mean IRI [m/km], band [cycle/m] and waviness: four times as much for twice the IRI.
+    """Returns G_d(n0) [m3] of roads with a given mean IRI. It is proportional to the square of the IRI.
+
+    Args:
+        iri: mean IRI [m/km].
+        lowest: lower end of the band [cycle/m].
+        highest: upper end of the band [cycle/m].
+        waviness: w.
 
     Raises:
-        InputError: no road has such an IRI.
+        InputError: the IRI is out of its range.
     """
     return FEATURES.load("IRI").slope_density(IRI.number("road iri", iri), lowest, highest, waviness) / (2 * np.pi * N0) ** 2
 
 
 @dataclass(frozen=True)
 class Iso8608(Section, Road):
-    """Random road of a class.
+    """Random road of ISO 8608, with a roughness class, an IRI or a spectral density.
 
-    The same seed and length are the same road on every machine, to the rounding of its sines: phases are the raw output of the
-    Philox generator, which numpy keeps as it is. At time 0 the first wheel comes from flat ground onto the road at its own height
-    there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
+    The same seed and length give the same road on every machine, except for rounding errors of its sines. The phases are the
+    raw output of the Philox generator, which NumPy does not change between versions. At time 0, the first wheel comes from flat
+    ground and reaches the road at the road's own height. Its vertical velocity jumps at this time, as for a vehicle that starts
+    in equilibrium and then meets white noise.
 
     Raises:
-        InputError: an unknown class, more than one of class, IRI and G_d(n0), a band without lines, a seed that is not an
-            integer, another number out of its range.
+        InputError: the class is unknown, the band contains too few sinusoids, or another number is out of its range. Also if
+            the road has more than one of class, IRI and G_d(n0).
     """
 
-    settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")  # names of its numbers in a text
+    settings: ClassVar[tuple[str, ...]] = ("class", "iri", "gd", "waviness", "band")  # names of the numbers in a text
     road_class: Annotated[
         str, Text("`class` in a text: `A` to `H`, or a limit such as `A/B`; empty if `iri` or `gd` is given")
     ] = "C"
@@ -117,7 +127,7 @@ class Iso8608(Section, Road):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the table with `class` as a field's name, class C by default, and both ends of `band`, as in 0.011..2.83."""
+        """Returns the fields of a table: `class` becomes `road_class` (default C), and `band` becomes its two ends."""
         fields = {name: value for name, value in given.items() if name not in ("class", "band", "roughness")}
         if "road_class" not in given:
             fields["road_class"] = given.get("class", "" if {"iri", "gd"} & given.keys() else "C")
@@ -129,20 +139,23 @@ class Iso8608(Section, Road):
         return fields
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Sums the lines, from the road's own height at the start. A vehicle with one track drives on the left one."""
+        """Returns the sum of the sinusoids minus their sum at the start [m].
+
+        A vehicle with one track drives on the left one.
+        """
         return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Sums the exact derivatives of the lines."""
+        """Returns the sum of the exact derivatives of the sinusoids [m/s]."""
         return np.where(t >= 0, self._sum(side, True, t), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning."""
+        """The beginning of the road [s]."""
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
-        """Class, IRI or G_d(n0), roughness, seed, band, speed, track width, length, factor."""
+        """Returns class, IRI or G_d(n0), and then roughness, seed, band, speed, track width, length and factor."""
         return {
             "type": "iso8608",
             **{name: value for name, value in self._rough.items() if value is not None},
@@ -159,7 +172,7 @@ class Iso8608(Section, Road):
 
     @property
     def words(self) -> str:
-        """Class, IRI or G_d(n0), seed and speed: what tells it from other random roads."""
+        """Class, IRI or G_d(n0), then seed and speed: the properties in which random roads differ."""
         which = f"class {self.road_class}" if self.iri is None else f"IRI {self.iri:g} m/km"
         which = which if self.gd is None else f"G_d(n0) {self.gd:g} m3"
         which += f", waviness {self.waviness:g}" if self.waviness != 2 else ""
@@ -167,12 +180,12 @@ class Iso8608(Section, Road):
         return f"random, {which}, seed {self.seed}, speed {self.speed:g} m/s"
 
     def scaled(self, factor: float) -> "Iso8608":
-        """Returns the road higher or lower."""
+        """Returns the road with heights multiplied by a factor."""
         return replace(self, factor=self.factor * factor)
 
     @property
     def roughness(self) -> float:
-        """G_d(n0), before the factor [m3]."""
+        """G_d(n0) before the factor [m3]."""
         if self.gd is not None:
             return self.gd
         if self.iri is not None:
@@ -181,34 +194,34 @@ class Iso8608(Section, Road):
 
     @property
     def _rough(self) -> dict[str, float | str | None]:
-        """Returns the three ways to give how rough it is, of which one has a value."""
+        """The three possible measures of roughness, by name. Only one of them has a value."""
         return {"class": self.road_class or None, "iri": self.iri, "gd": self.gd}
 
     @property
     def n(self) -> Array:
-        """Spatial frequencies of its lines [cycle/m], shape (K,)."""
+        """Spatial frequencies of the K sinusoids [cycle/m], shape (K,)."""
         return _frequencies(self.length, self.lowest, self.highest)
 
     @property
     def band(self) -> tuple[float, float]:
-        """The spatial frequencies that the lines represent [cycle/m]: half a line further out than the first and the last."""
+        """Band that the sinusoids represent [cycle/m]. It extends half a spacing beyond the first and the last frequency."""
         return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
 
     @property
     def spectrum(self) -> Spectrum:
-        """Its spectrum."""
+        """Spectrum of the road at its speed."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width, self.waviness)
 
     @cached_property
     def _left(self) -> Array:
-        """exp(i phase) of every line of the left track, shape (K,)."""
+        """exp(i phase) of every sinusoid on the left track, shape (K,)."""
         return self._phasors(0)
 
     @cached_property
     def _other(self) -> Array:
-        """exp(i phase) of every line of the right track's own part, shape (K,)."""
+        """exp(i phase) of every sinusoid in the independent share of the right track, shape (K,)."""
         return self._phasors(1)
 
     def _phasors(self, track: int) -> Array:
@@ -218,7 +231,7 @@ class Iso8608(Section, Road):
         return np.cos(phases) + 1j * np.sin(phases)
 
     def _lines(self, side: str, rate: bool) -> Array:
-        """Returns the complex amplitude of every line [m], or of its derivative [m/s], shape (K,)."""
+        """Returns the complex amplitude of every sinusoid [m], or of its derivative [m/s], shape (K,)."""
         if rate:
             return self._lines(side, False) * (2j * np.pi * self.speed * self.n)
         amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -self.waviness / self.length)
@@ -228,7 +241,7 @@ class Iso8608(Section, Road):
         return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
 
     def _sum(self, side: str, rate: bool, t: Array) -> Array:
-        """Returns the real part of the sum of lines exp(2 pi i n V t), or of its derivative, shape like t."""
+        """Returns the real part of the sum of all sinusoids exp(2 pi i n V t), or of its derivative, same shape as t."""
         t = np.asarray(t, dtype=float)
         step = (t[-1] - t[0]) / (len(t) - 1) if t.ndim == 1 and len(t) > FEW else math.nan
         if math.isnan(step) or not np.allclose(np.diff(t), step, rtol=1e-6, atol=0.0):
@@ -245,7 +258,7 @@ class Iso8608(Section, Road):
 
 
 def long_enough(distance: float) -> float:
-    """Returns the length [m] of a road that does not repeat over a distance [m]."""
+    """Returns the length [m] of a road that does not repeat within a distance [m]."""
     return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
 
 
@@ -263,21 +276,22 @@ def _coherency_of_lines(length: float, lowest: float, highest: float, width: flo
 
 @lru_cache(maxsize=16)
 def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, count: int) -> Array:
-    """Returns the sum at evenly spaced times, shape (T,). Cached: physics and analysis need the same times a dozen times."""
+    """Returns the sum at evenly spaced times, shape (T,). It is cached, because simulation and analysis need it many times."""
     lines, turned = road._lines(side, rate), road._turn(np.array(first))
     turn = float(f"{road.speed * step / road.length:.14g}")
     angle = np.arange(count) * (round(road.n[0] * road.length) * turn)
     shift = np.exp(-2j * np.pi * (angle - np.round(angle)))
-    # The exponent of the transform is negative; of a conjugate the real part is the same.
+    # The exponent of the transform is negative. The complex conjugate of the sum has the same real part.
     return (shift * _chirp_transform(len(lines), count, turn)(np.conj(lines * turned))).real
 
 
 @lru_cache(maxsize=8)
 def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], Array]:
-    """Returns a function that sums x_k exp(-2 pi i k turn j) over K lines, shape (K,), for j = 0, ..., T - 1, shape (T,).
+    """Returns a function that computes the sum over k of x_k exp(-2 pi i k turn j) for j = 0, ..., T - 1.
 
-    A chirp z-transform, K + T lines and times in the time of an FFT, by 2 k j = k^2 + j^2 - (j - k)^2: a convolution.
-    `scipy.signal.ZoomFFT` gives the same bit for bit, and takes half a second to import.
+    The function maps K amplitudes, shape (K,), to T values, shape (T,). It is a chirp z-transform: with
+    2 k j = k^2 + j^2 - (j - k)^2, the sum becomes a convolution of length K + T, which takes the time of an FFT.
+    `scipy.signal.ZoomFFT` gives the same numbers bit for bit, but its import takes 0.5 s.
     """
     k = np.arange(max(lines, times), dtype=np.int64)
     scale = turn * (times - 1) * times / (times - 1)
@@ -293,7 +307,7 @@ def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], A
 
 
 def _fast_length(least: int) -> int:
-    """Returns the smallest number, at least `least`, without prime factors other than `FAST`."""
+    """Returns the smallest integer that is not below `least` and has only the prime factors in `FAST`."""
     while True:
         rest = least
         for factor in FAST:

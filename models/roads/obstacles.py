@@ -1,4 +1,4 @@
-"""Single obstacles, roads of one formula each; and the table of all roads that are given by name and numbers."""
+"""Single obstacles, each defined by one formula; and the table of all roads that are given by a name and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,17 +12,18 @@ from models.common.schema import SI
 from models.roads.road import Bump, Length, Obstacle, Road, ScaledRoad, Speed, Track
 from models.roads.sinusoids import Sine, SineSweep, Start
 
-AT_ONCE = 1e-9  # s: rounding of a time at a vertical edge
+AT_ONCE = 1e-9  # s: rounding error of the time at a vertical edge
 
 
 @dataclass(frozen=True)
 class WattsHump(Obstacle):
     """Speed hump of Watts: a circular arc. Its slope jumps at both ends.
 
-    G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597: 3.7 m long, 25 to 100 mm high.
+    Source: G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597. The humps of the report are
+    3.7 m long and 25 to 100 mm high.
 
     Raises:
-        InputError: a number out of its range; an arc of more than half a circle.
+        InputError: a number is out of its range, or the arc is longer than half a circle.
     """
 
     kind: ClassVar[str] = "watts_hump"
@@ -45,22 +46,22 @@ class WattsHump(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the arc, the same on both sides."""
+        """Returns the height of the arc [m], equal on both sides."""
         x, on = self._from_crown(t)
         return np.where(on, np.sqrt(self.radius**2 - x**2) - (self.radius - self.height), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative."""
+        """Returns the time derivative of the height [m/s]."""
         x, on = self._from_crown(t)
         return np.where(on, -self.speed * x / np.sqrt(self.radius**2 - x**2), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends."""
+        """Times of both ends of the hump [s]."""
         return (0.0, self.duration)
 
     def scaled(self, factor: float) -> Road:
-        """Returns the same shape, higher or lower."""
+        """Returns the same shape with heights multiplied by a factor."""
         return ScaledRoad(self, factor)
 
     def _from_crown(self, t: Array) -> tuple[Array, Array]:
@@ -70,12 +71,13 @@ class WattsHump(Obstacle):
 
 @dataclass(frozen=True)
 class Step(Obstacle):
-    """Kerb, up or down, rounded: half a period of a cosine; or vertical, which no tyre follows but formulas do.
+    """Kerb, up or down: rounded as half a period of a cosine, or vertical.
 
-    A vertical edge is a jump of the height: an impulse of its velocity in the linear response, between two samples in MuJoCo.
+    No real tyre follows a vertical edge, but formulas often assume one. The height then jumps. In the linear response, the
+    velocity is an impulse; in MuJoCo, the height changes between two samples.
 
     Raises:
-        InputError: a number out of its range; an edge that is shorter than a length can be, and not 0.
+        InputError: a number is out of its range, or the edge is not 0 but shorter than the smallest length.
     """
 
     kind: ClassVar[str] = "step"
@@ -96,24 +98,24 @@ class Step(Obstacle):
 
     @property
     def duration(self) -> float:
-        """Time until a wheel is past the edge [s]."""
+        """Time until a wheel has passed the edge [s]."""
         return self.start + self.rise
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the edge, then the height, the same on both sides."""
+        """Returns the height of the edge and then of the step [m], equal on both sides."""
         if not self.edge:
             return np.where(np.asarray(t) > self.start + AT_ONCE, self.height, 0.0)
         return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative, 0 beside a jump."""
+        """Returns the time derivative [m/s], without the impulse of a vertical edge."""
         if not self.edge:
             return np.zeros(np.shape(t))
         return self.height * np.pi / (2 * self.rise) * np.sin(np.pi * np.clip((t - self.start) / self.rise, 0, 1))
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends of the edge."""
+        """Times of both ends of the edge [s]."""
         return (self.start, self.duration) if self.edge else (self.start,)
 
     @property
@@ -122,16 +124,16 @@ class Step(Obstacle):
         return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
-        """Height, edge, speed, and the start unless it is 0."""
+        """Returns height, edge, speed, and the start unless it is 0."""
         return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
 
 @dataclass(frozen=True)
 class Pothole(Obstacle):
-    """Step down, and another one up again, under one side or both.
+    """Pothole: a step down and a step up again, under one side or both.
 
     Raises:
-        InputError: a number out of its range; edges longer than the pothole.
+        InputError: a number is out of its range, or the edges are longer than the pothole.
     """
 
     kind: ClassVar[str] = "pothole"
@@ -152,18 +154,18 @@ class Pothole(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the steps down and up."""
+        """Returns the height of both steps [m]."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative."""
+        """Returns the time derivative of the height [m/s]."""
         down, up = self._edges
         return self._under(side) * (down.velocity(t) + up.velocity(t - self.duration + up.duration))
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends of both edges."""
+        """Times of both ends of both edges [s]."""
         edge = self.edge / self.speed
         return (0.0, edge, self.duration - edge, self.duration)
 
@@ -177,28 +179,32 @@ class Pothole(Obstacle):
 
 @dataclass(frozen=True)
 class Flat(Obstacle):
-    """Flat road, for a vehicle that is excited by loads alone."""
+    """Flat road, for a vehicle that is excited only by loads.
+
+    Raises:
+        InputError: the speed is out of its range.
+    """
 
     kind: ClassVar[str] = "flat"
     tall: ClassVar[tuple[str, ...]] = ()
     speed: Speed = 20.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns zero."""
+        """Returns zeros [m]."""
         return np.zeros_like(t)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns zero."""
+        """Returns zeros [m/s]."""
         return np.zeros_like(t)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Empty."""
+        """Empty: the road has no kinks."""
         return ()
 
 
 def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -> None:
-    """Checks that a number is at most half of the length. With its default, it is not what was given: the length is."""
+    """Checks that a number is at most half of the length. If it has its default value, the message is about the length."""
     usual, value = getattr(type(road), other), getattr(road, other)
     if value == usual and road.length < 2 * usual:
         short = f"{road.kind} length = {road.length:g} m is less than {least} {usual:g} m"
@@ -206,5 +212,5 @@ def _check_half(road: WattsHump | Pothole, other: str, low: float, least: str) -
     SI("m", low=low, high=road.length / 2).number(f"{road.kind} {other}", value)
 
 
-# By their names on a command line, in a campaign file or in a log.
+# Roads by their names on a command line, in a campaign file or in a log.
 OBSTACLES: Mapping[str, type] = {one.kind: one for one in (Bump, WattsHump, Step, Pothole, SineSweep, Flat, Sine)}

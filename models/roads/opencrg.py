@@ -1,4 +1,4 @@
-"""Road surfaces of ASAM OpenCRG, a grid of heights along and across a road, by PyOpenCRG."""
+"""Road surfaces in ASAM OpenCRG files, read by PyOpenCRG: a grid of heights along and across the road."""
 
 import re
 import warnings
@@ -12,9 +12,9 @@ from models.common.errors import InputError, first_few
 from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
-AT_ONCE = 2**20  # heights that are computed together; PyOpenCRG takes some hundred bytes for each
-TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters of a number, by format
-LINE = 80  # characters of a line of numbers
+AT_ONCE = 2**20  # number of heights that are computed together; PyOpenCRG needs several hundred bytes for each
+TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters per number, by format
+LINE = 80  # characters in a line of numbers
 NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)"
 GIVE = "give an OpenCRG file"
 
@@ -25,9 +25,9 @@ class Surface:
 
     Attributes:
         u: distances along the road [m], shape (P,).
-        v: distances across the road, to the left [m], ascending, shape (Q,).
+        v: lateral positions, positive to the left [m], ascending, shape (Q,).
         z: heights [m], shape (P, Q).
-        source: the file.
+        source: name of the file.
     """
 
     u: Array
@@ -36,23 +36,28 @@ class Surface:
     source: str
 
     def begun_at(self, start: float) -> "Surface":
-        """Returns the surface from a distance on [m].
+        """Returns the part of the surface after a given distance.
+
+        Args:
+            start: distance at which the road starts [m].
 
         Raises:
-            InputError: the surface does not reach there.
+            InputError: the surface does not contain this distance.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)
 
     def profile(self, track_width: float, speed: float) -> Profile:
-        """Returns the profile under the wheels of a vehicle in the middle, straight between the grid's lines, as in OpenCRG.
+        """Returns the profile under the wheels of a vehicle in the middle of the road.
+
+        Heights are interpolated linearly between the lines of the grid, as in OpenCRG.
 
         Args:
-            track_width: distance from the right wheels to the left ones [m].
+            track_width: lateral distance between right and left wheels [m].
             speed: vehicle speed [m/s].
 
         Raises:
-            InputError: the surface is too narrow, or has a hole.
+            InputError: the surface is too narrow, or has missing heights.
         """
         middle, tracks = (self.v[0] + self.v[-1]) / 2, []
         for v in (middle + track_width / 2, middle - track_width / 2):
@@ -68,10 +73,10 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """Reads the surface of an OpenCRG file. Its data may be in another file, which it names.
+    """Reads the surface of an OpenCRG file. The data may be in another file that this file refers to.
 
     Raises:
-        InputError: PyOpenCRG is not installed, or the file is not an OpenCRG file, or was cut.
+        InputError: PyOpenCRG is not installed, the file is not an OpenCRG file, or the file is incomplete.
     """
     with reading(path, "road file", GIVE):
         path.open("rb").close()
@@ -81,7 +86,7 @@ def read_surface(path: Path) -> Surface:
             raise InputError("OpenCRG files need PyOpenCRG; install it with pip install -e '.[opencrg]'") from error
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # most findings do not matter for a profile
+                warnings.simplefilter("ignore")  # most warnings do not matter for a profile
                 head, road = io.read_ipl(path, meta_only=True), CrgRoad.read(path)
             u, v = np.asarray(road.u, dtype=float), np.asarray(road.v, dtype=float)
             rows = range(0, len(u), max(1, AT_ONCE // len(v)))
@@ -95,14 +100,14 @@ def read_surface(path: Path) -> Surface:
 
 
 def _check_whole(header: str, u: Array, width: int, channels: int, last: int) -> None:
-    """Raises an InputError for a file that was cut, which PyOpenCRG may read as a shorter or a stretched road.
+    """Raises InputError if the file is incomplete. PyOpenCRG may read such a file as a shorter or stretched road.
 
     Args:
-        header: text with the entries, and the channels that are not data.
+        header: text with the entries and the channels that are not data.
         u: distance of each cross-section [m].
-        width: characters of a number; 0 in binary files.
-        channels: number of numbers in a cross-section.
-        last: characters of the last line.
+        width: characters per number; 0 in binary files.
+        channels: numbers per cross-section.
+        last: characters in the last line.
     """
     if last < (expected := ((channels - 1) % (LINE // max(width, 1)) + 1) * width):
         raise InputError(f"the file is incomplete: its last line has {last} characters, not {expected}; give the whole file")
@@ -113,7 +118,7 @@ def _check_whole(header: str, u: Array, width: int, channels: int, last: int) ->
 
 
 def _reason(error: Exception, path: Path) -> str:
-    """Returns PyOpenCRG's message on one line; it may list many mistakes below a first line without any."""
+    """Returns the message of PyOpenCRG on one line. Its first line may be empty, followed by a list of errors."""
     report = getattr(error, "report", None)
     if report is not None:
         return first_few([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])

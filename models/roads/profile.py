@@ -1,4 +1,4 @@
-"""Measured roads: heights over distance, and the line through them."""
+"""Measured roads: heights over distance, joined by straight lines or by a spline."""
 
 import io
 from collections.abc import Callable
@@ -18,37 +18,37 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # largest spacing over the median one; in a wider gap a spline would be invented, and points may be missing
-SHORT = 5.0  # m, of a gap that is no doubt drawn by its ends
-SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have a thousandth, the roughest class of ISO 8608 a half
-CHORD = 0.25  # m, of slopes as in ASTM E1926
-FEWEST = 4  # points of a spline
-OFTEN = 0.05  # of the points: sorted so badly, a distance may be a coordinate
-START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
-ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
+GAP = 10.0  # largest spacing relative to the median; a wider gap may be missing points, and a spline would invent heights in it
+SHORT = 5.0  # m; a gap up to this length is not suspicious
+SMOOTHEST, STEEPEST = 3e-5, 1.0  # rms slopes; the best runways have 1e-3, the roughest class of ISO 8608 has 0.5
+CHORD = 0.25  # m, length over which slopes are computed, as in ASTM E1926
+FEWEST = 4  # smallest number of points of a spline
+OFTEN = 0.05  # share of points in wrong order above which a distance may be a coordinate
+START = 11.0  # m; the mean slope over this distance is that of the start, as for the golden car (ASTM E1926)
+ROUNDING = 8 * float(np.finfo(float).eps)  # rounding error of a height and of the start's slope, relative to the largest height
 JOINS = ("straight", "smooth")
 Join = Annotated[str, Choice("how points are joined", JOINS)]
 
 
 @dataclass(frozen=True, eq=False)
 class Profile(MeasuredRoad):
-    """Measured heights, joined by straight lines (ASTM E1926), or by a cubic spline.
+    """Measured road: heights over distance, joined by straight lines (ASTM E1926) or by a cubic spline.
 
-    Before the first point lies the plane on which the vehicle starts: through the first heights, with the mean slope of the first
-    11 m, of both tracks together. A vehicle with one track has that of its own track. Behind the last point the road goes on with
-    the slope of the last 11 m.
+    Before the first point, the road is the plane on which the vehicle starts. The plane contains the first heights and has the
+    mean slope of the first 11 m of both tracks. For a vehicle with one track, the slope is that of its own track. After the
+    last point, the road continues with the slope of the last 11 m.
 
     Attributes:
-        distance: ascending [m], shape (P,).
+        distance: distances of the points [m], ascending, shape (P,).
         heights: heights of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left track.
         speed: V [m/s].
-        source: the file.
+        source: name of the file.
         join: "straight" or "smooth".
-        note: remark on the columns of the file, a phrase; empty for none.
+        note: remark about the columns of the file, a phrase; empty without a remark.
 
     Raises:
-        InputError: distances that do not ascend, numbers that are not finite, too few points, an unknown join, or a gap in a
-            spline.
+        InputError: distances do not ascend, a number is not finite, or there are too few points. Also if `join` is unknown, or
+            if a spline has a gap.
     """
 
     distance: Array
@@ -63,7 +63,7 @@ class Profile(MeasuredRoad):
         check_points(self.distance, self.heights, smooth=self.join == "smooth")
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks the profile as any road, and that the driven part is not steeper than a road can be.
+        """Checks the profile like any road, and checks that the driven part is not steeper than real roads.
 
         Raises:
             InputError: the road is too steep, for example because of wrong units.
@@ -79,11 +79,19 @@ class Profile(MeasuredRoad):
             )
 
     def remark(self, length: float) -> str:
-        """Returns a remark on the columns of the file, and on the driven length [m]: the widest gap, heights of no road."""
+        """Returns remarks about the columns of the file, the widest gap, and improbable heights.
+
+        Args:
+            length: driven length [m].
+        """
         return "; ".join(filter(None, (self.note, self._doubt(length))))
 
     def _doubt(self, length: float) -> str:
-        """Returns a remark on the widest gap between points over a driven length [m], or on heights of no road; empty without."""
+        """Returns a remark about the widest gap between points, or about improbable heights; empty without a remark.
+
+        Args:
+            length: driven length [m].
+        """
         x, z = self._driven(length)
         steps = np.diff(x)
         i, usual = int(steps.argmax()), float(np.median(steps))
@@ -100,29 +108,29 @@ class Profile(MeasuredRoad):
         return f"the slope varies by {round(rough, 8):g} rms; {said}" if smooth else ""
 
     def _driven(self, length: float) -> tuple[Array, Array]:
-        """Returns distances and heights of the points up to the first one behind a driven length [m]."""
+        """Returns distances and heights of the points, up to the first point beyond a driven length [m]."""
         points = max(2, int(np.searchsorted(self._x, length)) + 1)
         return self.distance[:points], self.heights[:points]
 
     @property
     def duration(self) -> float:
-        """Time from the first point to the last [s]."""
+        """Time from the first point to the last point [s]."""
         return self._end / self.speed
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns height and rate of the plane at time 0."""
+        """Returns height [m] and rate of change [m/s] of the plane at time 0."""
         first = self.heights[0]
         return float(first[int(side == "right")] - first.mean()) if side else 0.0, self._slope(side, 0) * self.speed
 
     def departure(self, t: Array, side: str) -> Array:
-        """Returns the height over the plane."""
+        """Returns the height above the plane [m]."""
         x, z = self._x, self._over_plane[side]
         at = np.asarray(t) * self.speed
         on = np.interp(at, x, z) if self.join == "straight" else self._splines[side](np.clip(at, 0.0, self._end))
         return on + (self._slope(side, 1) - self._slope(side, 0)) * np.maximum(at - self._end, 0.0)
 
     def departure_rate(self, t: Array, side: str) -> Array:
-        """Returns the derivative of `departure`; at a point that of the line behind it."""
+        """Returns the time derivative of `departure` [m/s]; at a point, that of the line after the point."""
         x, z = self._x, self._over_plane[side]
         at, after = np.asarray(t) * self.speed, self._slope(side, 1) - self._slope(side, 0)
         if self.join == "straight":
@@ -138,12 +146,12 @@ class Profile(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points bit for bit, as a CSV file: distance, left, right [m]."""
+        """All points as a CSV file with exact numbers: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
-        """File, points, first distance, length, lowest and highest height, speed, join."""
+        """Returns file, number of points, first distance, length, lowest and highest height, speed and join."""
         return {
             "type": "profile",
             "source": self.source,
@@ -157,12 +165,19 @@ class Profile(MeasuredRoad):
         }
 
     def begun_at(self, start: float) -> "Profile":
-        """Returns the profile from a distance on [m]; see `begun_at`."""
+        """Returns the part of the profile after a distance [m]; see `begun_at`."""
         distance, heights = begun_at(start, self.distance, self.heights)
         return replace(self, distance=distance, heights=heights)
 
     def turned(self, length: float) -> "Profile | None":
-        """Returns the first stretch [m], turned by half a turn about the first point, where it ends; None if it is too short."""
+        """Returns the beginning of the profile, rotated by half a turn about the first point, so that it ends there.
+
+        Args:
+            length: length of the beginning [m].
+
+        Returns:
+            The rotated profile; None if it would have too few points.
+        """
         points = int(np.searchsorted(self._x, length, side="right"))
         if points < (2 if self.join == "straight" else FEWEST):
             return None
@@ -170,7 +185,7 @@ class Profile(MeasuredRoad):
         return replace(self, distance=2 * self.distance[0] - distance, heights=2 * self.heights[0] - heights)
 
     def scaled(self, factor: float) -> "Profile":
-        """Returns the profile higher or lower."""
+        """Returns the profile with heights multiplied by a factor."""
         return replace(self, heights=factor * self.heights)
 
     @property
@@ -183,18 +198,18 @@ class Profile(MeasuredRoad):
 
     @cached_property
     def _chords(self) -> Array:
-        """Mean slopes of both tracks over the first and the last 11 m, shape (2, 2)."""
+        """Mean slopes of both tracks over the first and the last 11 m, shape (2, 2): a row for each end, a column per track."""
         reach = min(START, self._end)
         ends = np.array([[np.interp(at, self._x, z) for z in self.heights.T] for at in (0, reach, self._end - reach, self._end)])
         return (ends[1::2] - ends[::2]) / reach
 
     def _slope(self, side: str, end: int) -> float:
-        """Returns the slope of the plane before the first point (0), or of that behind the last one (1)."""
+        """Returns the slope of the plane before the first point (`end` 0), or after the last point (`end` 1)."""
         return float(self._chords[end].mean() if side else self._chords[end, 0])
 
     @cached_property
     def _over_plane(self) -> dict[str, Array]:
-        """Heights of the points over the plane of the start [m], by side; exactly 0 where only rounding is left."""
+        """Heights of the points above the plane of the start [m], by side; exactly 0 if they are only rounding errors."""
         rounding = ROUNDING * np.abs(self.heights).max() * (1 + self._x / min(START, self._end))
         over = {}
         for side in ("", "left", "right"):
@@ -205,7 +220,7 @@ class Profile(MeasuredRoad):
 
     @cached_property
     def _splines(self) -> "dict[str, CubicSpline]":
-        from scipy.interpolate import CubicSpline  # half a second
+        from scipy.interpolate import CubicSpline  # this import takes 0.5 s
 
         ends = {side: ((1, 0.0), (1, self._slope(side, 1) - self._slope(side, 0))) for side in self._over_plane}
         return {
@@ -215,15 +230,15 @@ class Profile(MeasuredRoad):
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:
-    """Returns the points of a road from a distance on, with one more there, on the line between its neighbours.
+    """Returns the points of a road after a distance, with an interpolated point at this distance.
 
     Args:
         start: distance at which the road starts [m].
-        distance: ascending [m], shape (P,).
+        distance: distances of the points [m], ascending, shape (P,).
         heights: heights of the points [m], shape (P, K).
 
     Raises:
-        InputError: the road does not reach there.
+        InputError: the road does not contain this distance.
     """
     rest = distance > start
     if not distance[0] <= start < distance[-1]:
@@ -236,16 +251,16 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
 def check_points(
     distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}", smooth: bool = False
 ) -> None:
-    """Checks that points make a profile.
+    """Checks that points are a valid profile.
 
     Args:
         distance: distances of the points [m], shape (P,).
         heights: heights of the left and the right track [m], shape (P, 2).
-        where: index -> what a message calls the point.
-        smooth: True for a spline, which needs more points, without gaps.
+        where: function that returns the name of a point in messages, for its index.
+        smooth: True for a spline, which needs more points and must not have gaps.
 
     Raises:
-        InputError: distances that do not ascend, numbers that are not finite, too few points, or a gap in a spline.
+        InputError: distances do not ascend, a number is not finite, there are too few points, or a spline has a gap.
     """
     check_shape("heights", heights, (len(distance), 2), "one row for each distance, and columns for left and right")
     check_ascending("smooth profile" if smooth else "profile", distance, heights, where, "distance", "m", smooth)
@@ -254,17 +269,19 @@ def check_points(
 def check_ascending(
     what: str, x: Array, heights: Array, where: Callable[[int], str], axis: str, unit: str, smooth: bool = True
 ) -> None:
-    """Checks that points are enough, finite, and ascend; those of a spline without a gap.
+    """Checks that there are enough points, that they are finite and ascending, and that a spline has no gap.
 
     Args:
         what: name of the road, for messages.
-        x: distance or time, shape (P,); axis: which of them; unit: its unit.
+        x: distances or times of the points, shape (P,).
         heights: heights of the points [m], shape (P, K).
-        where: index -> what a message calls the point.
+        where: function that returns the name of a point in messages, for its index.
+        axis: name of the quantity `x`, for messages.
+        unit: unit of `x`.
         smooth: True for a spline.
 
     Raises:
-        InputError: the points are not ascending.
+        InputError: a check fails.
     """
     fewest = FEWEST if smooth else 2
     if len(x) < fewest:
@@ -289,10 +306,10 @@ def check_ascending(
 
 
 def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
-    """Returns a profile from `Profile.points` bit for bit.
+    """Returns a profile from `Profile.points`, with exact numbers.
 
     Raises:
-        InputError: the content is wrong.
+        InputError: the content is not valid.
     """
     names, table = read_points(content, "road")
     if len(names) != 3:
@@ -301,10 +318,10 @@ def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
 
 
 def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
-    """Returns the names and the numbers of `Road.points` bit for bit.
+    """Returns the names and the numbers of `Road.points`, with exact numbers.
 
     Raises:
-        InputError: the content is wrong.
+        InputError: the content is not valid.
     """
     head, _, rest = content.partition(b"\n")
     if rest.count(b"\n") < 2:

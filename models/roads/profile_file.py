@@ -1,14 +1,14 @@
 """Measured roads from files: distance and height in any columns, separators, headings and units; or heights at a constant step.
 
-ERD is the format of the University of Michigan Transportation Research Institute, in which LTPP and ProVAL share profiles: a
-header of keywords, then heights at a constant step, of one or two tracks.
+ERD is the format of the University of Michigan Transportation Research Institute. LTPP and ProVAL use it to exchange profiles.
+An ERD file has a header of keywords, then heights at a constant step, for one or two tracks.
 
-RDF files are roads of tyre models in Adams and MotionView. Files of the type `poly_line` have a table of distance and of the
-heights of left and right track. Vehicles start at distance 0, which the table may begin well before.
+RDF files contain roads for tyre models in Adams and MotionView. RDF files of the type `poly_line` have a table of the distance
+and of the heights of the left and right track. Vehicles start at distance 0, which need not be the beginning of the table.
 
-Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. Their distance is
-the length of the path, in the horizontal plane. Steps in degrees become metres with the radii of curvature of the ellipsoid
-WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
+Surveys have two horizontal coordinates of each point, on a map or as latitude and longitude, in driving order. The distance is
+the length of the path in the horizontal plane. Steps in degrees are converted to metres with the radii of curvature of the
+ellipsoid WGS 84 (NIMA TR8350.2, 2000) at the latitude of the step.
 """
 
 import itertools
@@ -32,33 +32,37 @@ from models.common.units import LENGTH, setting, unit_size
 from models.roads.profile import JOINS, Join, Profile, check_points
 
 READ = ("distance", "height", "left", "right")
-TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}  # of each height, by number of columns
+# Names of the height columns, by number of columns
+TRACKS = {2: (("height", "left", "right"),), 3: (("height", "left"), ("height", "right"))}
 COLUMNS = re.compile(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){0,2}")
 GIVE_COLUMNS = "give two or three column numbers, as in columns=1,3 or columns=1,3,4, or one or two with :step"
 UNITS = tuple(LENGTH)
-ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5  # its first word, letters of a keyword and of each value, and the key of numbers in text
+# First word of an ERD file; letters of a keyword and of each value; KEYNUM of numbers as text
+ERD, FIELD, IN_TEXT = "ERDFILE", 8, 5
 RDF, RDF_UNITS = "(XZ_DATA)", {"meter": "m", "millimeter": "mm", "centimeter": "cm", "kilometer": "km", "foot": "ft"}
 SAY = "choose columns with :columns=1,3 or :columns=1,3,4, or correct the headings, or put # before lines that are not headings"
 A_RIG = "; for heights of a rig's posts over time, give rig:file=FILE"
-WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
+WIDEST = 20.0  # m between points; if the distances have no unit, a wider spacing means that the unit may not be m
 STEP_REFUSAL = "step is given, but the file has distances or more than two columns of heights; give :columns=2, or omit step"
-LIKE_DISTANCE = (0.2, 5.0)  # slopes of a column over its row's distance, in any units of length, that no road has all along
+# Slope of a column over the distance of the rows, in any units of length. No road has such a slope along its whole length.
+LIKE_DISTANCE = (0.2, 5.0)
 FORMAT = "give columns of distance and height [m], or of distance, left and right, or only heights, with a step as in :step=0.25"
 DEGREES = ("longitude lon lng long längengrad länge longx", "latitude lat breitengrad breite laty")
-PLANES = (  # words of coordinates to the east and to the north; a path has one column of each
+PLANES = (  # words for coordinates to the east and to the north; a path has one column of each
     ("easting east rechtswert ostwert rw ost utmx", "northing north hochwert nordwert hw nord utmy"),
     ("e", "n"), ("x", "y"), DEGREES,
 )  # fmt: skip
-AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: m, and a ratio
-BLOCK = 5.0  # m of a path, over which positions are averaged
-NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: to be remarked, and to be refused
-DIFFERENT, OTHER = 0.05, 2.5  # relative difference of two lengths to be remarked, and ratio of them to be refused
-APART = 100.0  # m between the heights of two tracks
-SLIGHT, DIVERGING = 2.0, 0.2  # change of that difference along a road: m, and over the distance
+AXIS, FLATTENING = 6378137.0, 1 / 298.257223563  # of the ellipsoid: semi-major axis [m], and flattening
+BLOCK = 5.0  # m of a path over which positions are averaged
+NOTABLE, NOISY = 0.01, 0.05  # relative lengthening of a path by noise: above the first, a warning; above the second, an error
+# Relative difference of two lengths that causes a warning, and ratio of two lengths that causes an error
+DIFFERENT, OTHER = 0.05, 2.5
+APART = 100.0  # m, largest difference between the heights of two tracks
+SLIGHT, DIVERGING = 2.0, 0.2  # largest change of this difference along a road: in m, and relative to the distance
 
 
 def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
-    """Returns the columns, from 0, of a text with their numbers from 1, as in 1,3."""
+    """Returns the columns, counted from 0, of a text such as 1,3, in which they are counted from 1."""
     if not isinstance(value, str) or not COLUMNS.fullmatch(value):
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; {GIVE_COLUMNS}")
     return tuple(int(column) - 1 for column in value.split(","))
@@ -66,7 +70,7 @@ def _columns(value: Any, context: Mapping[str, Any]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class TableSettings(Section):
-    """Settings of a road from a file."""
+    """Settings for reading a road from a file."""
 
     start: Annotated[float, SI("m", "`from`, the distance at which the vehicle starts", low=-LARGEST)] | None = None
     distance_unit: Annotated[str, Choice("unit of distances without a unit in the heading; default: m", UNITS)] = ""
@@ -79,7 +83,7 @@ class TableSettings(Section):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the settings with another name for `from`, which Python reserves."""
+        """Returns the settings with the name `start` for the key `from`, which is a reserved word in Python."""
         start = {"start": setting("from", given["from"], "m")} if "from" in given else {}
         return {name: value for name, value in given.items() if name != "from"} | start
 
@@ -92,11 +96,12 @@ def read_profile(path: Path, speed: float, given: TableSettings = TableSettings(
     """Reads a profile from a text file. Its headings may give the quantity and the unit of each column.
 
     Args:
+        path: path of the file.
         speed: vehicle speed [m/s].
-        given: settings for headings that are absent or have no unit.
+        given: settings for headings that are missing or have no unit.
 
     Raises:
-        InputError: the file cannot be read, or its numbers do not make a road. The message has file and line.
+        InputError: the file cannot be read, or its numbers are not a valid road. The message gives the file and the line.
     """
     with reading(path, "road file", FORMAT):
         text = table_text(path)
@@ -154,14 +159,19 @@ def _profile(text: str, speed: float, source: str, given: TableSettings) -> Prof
 def choose_columns(
     table: NumberTable, headings: Sequence[Heading], wanted: Sequence[int], stepped: bool = False
 ) -> Sequence[int]:
-    """Returns the columns of distance and height, or distance, left and right, from 0: by their headings, else by their order.
+    """Returns the columns of distance and height, or of distance, left and right, counted from 0.
+
+    The headings determine the columns; without headings, their order does.
 
     Args:
-        wanted: the requested columns, from 0; empty for none.
-        stepped: True if rows are at a constant step, so that there is no column of distance.
+        table: the table.
+        headings: headings of all columns.
+        wanted: the requested columns, counted from 0; empty without a request.
+        stepped: True if the rows have a constant step, so there is no column of distance.
 
     Raises:
-        InputError: headings contradict the columns or their order, or are ambiguous, or there are not two or three columns.
+        InputError: the headings are ambiguous or contradict the requested columns, or the number of columns is not two or
+            three.
     """
     names = [heading.quantity for heading in headings]
     for name in READ if not wanted else ():
@@ -193,10 +203,10 @@ def choose_columns(
 
 
 def erd_text(text: str) -> tuple[str, str]:
-    """Returns the numbers of an ERD file as a table with headings, and its step with the unit.
+    """Returns the numbers of an ERD file as a table with headings, and its step as text with the unit.
 
     Raises:
-        InputError: binary numbers, or a header without sizes or end.
+        InputError: the numbers are binary, or the header has no sizes or no end.
     """
     header, end, numbers = re.split(r"^(END)\s*$", text, maxsplit=1, flags=re.MULTILINE) if "\nEND" in text else (text, "", "")
     lines = header.splitlines()
@@ -214,10 +224,10 @@ def erd_text(text: str) -> tuple[str, str]:
 
 
 def rdf_text(text: str) -> str:
-    """Returns the table of an RDF file of the type `poly_line` with headings, line for line.
+    """Returns the table of an RDF file of the type `poly_line`, with headings and with the line numbers of the file.
 
     Raises:
-        InputError: the road is of another type, or there is no table.
+        InputError: the road has another type, or the file has no table.
     """
     lines = [re.split(r"[$!]", line)[0].strip() for line in text.splitlines()]
     values = {name.strip().upper(): value.strip(" '\"").lower() for name, _, value in (line.partition("=") for line in lines)}
@@ -245,7 +255,10 @@ def rdf_text(text: str) -> str:
 
 
 def _coordinates(headings: Sequence[Heading], wanted: Sequence[int]) -> Sequence[int]:
-    """Returns the columns of two horizontal coordinates, east and north, from 0; empty without these or without a height."""
+    """Returns the columns of two horizontal coordinates, east and north, counted from 0.
+
+    Empty if the table has no such columns, or no column of height.
+    """
     if len(wanted) == 2 or not (wanted or {"height", "left", "right"} & {one.quantity for one in headings}):
         return []
     for words in PLANES:
@@ -260,10 +273,16 @@ def _in_degrees(headings: Sequence[Heading]) -> bool:
 
 
 def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: bool) -> tuple[Array, str]:
-    """Returns the length of a path before each point [m], shape (P,), and a remark; the option is the unit of lengths without.
+    """Returns the length of a path up to each point [m], shape (P,), and a warning.
+
+    Args:
+        table: the table.
+        headings: headings of the east and north coordinates.
+        option: name of the option that gives the unit of lengths without a unit.
+        ragged: True if rows may have different numbers of cells.
 
     Raises:
-        InputError: a unit or a number is wrong, or noise makes the path longer than the road.
+        InputError: a unit or number is wrong, or noise makes the path much longer than the road.
     """
     numbers, columns = table.numbers([one.column - 1 for one in headings], ragged)[0], columns_in_words(headings)
     if _in_degrees(headings):
@@ -295,10 +314,13 @@ def _path(table: NumberTable, headings: Sequence[Heading], option: str, ragged: 
 
 
 def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Array, heading: Heading, ragged: bool) -> list[str]:
-    """Returns a remark if a column of distance differs from the path through coordinates next to it, which may not be readable.
+    """Returns a warning if a column of distance differs from the length of the path through coordinates in the same table.
+
+    Coordinates that cannot be read give no warning.
 
     Raises:
-        InputError: the difference is larger than that of map projections, as for numbers of stations.
+        InputError: the difference is larger than that of map projections, for example because the column contains station
+            numbers.
     """
     own, length = float(np.ptp(distance)), 0.0
     with suppress(InputError):
@@ -313,7 +335,13 @@ def _other_length(table: NumberTable, headings: Sequence[Heading], distance: Arr
 
 
 def _check_tracks(distance: Array, heights: Array, first: int) -> None:
-    """Refuses three columns without headings that are two coordinates and a height; `first` is the number of the first line."""
+    """Refuses three columns without headings that are probably two coordinates and a height.
+
+    Args:
+        distance: values of the first column, shape (P,).
+        heights: values of the other two columns, shape (P, 2).
+        first: number of the first line, for the message.
+    """
     difference = heights[:, 0] - heights[:, 1]
     if (largest := np.abs(difference).max()) > APART or np.ptp(difference) > max(SLIGHT, DIVERGING * np.ptp(distance)):
         raise InputError(
@@ -323,7 +351,7 @@ def _check_tracks(distance: Array, heights: Array, first: int) -> None:
 
 
 def _is_distance(column: Array, step: float) -> bool:
-    """Returns True for values that rise evenly, by about the step [m] in some unit: of no road, but of its distances."""
+    """Returns True if the values rise evenly, by about the step [m] in some unit, as distances do and road heights do not."""
     rises = np.diff(column)
     mean = float(rises.mean()) if len(rises) else 0.0
     low, high = LIKE_DISTANCE
@@ -331,7 +359,7 @@ def _is_distance(column: Array, step: float) -> bool:
 
 
 def _check_commas(table: NumberTable) -> None:
-    """Refuses rows such as 0,0,01 without headings: two heights, or one with a decimal comma."""
+    """Refuses rows such as 0,0,01 without headings, which may contain two heights, or one height with a decimal comma."""
     number, row = next(table.rows())
     if not any("." in cell for _, cells in table.rows() for cell in cells[1:]):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Posts of a test rig: the height under each wheel over time, as in a four-post rig's drive file."""
+"""Posts of a test rig: the height under each wheel over time, as in the drive file of a four-post rig."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,25 +19,26 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-STROKE = 2.0  # m from its first height; no post moves further
+STROKE = 2.0  # m, largest travel of a post from its first height
 
 
 @dataclass(frozen=True, eq=False)
 class Rig(MeasuredRoad):
-    """Cubic spline through the heights of every post over time, with its exact derivative.
+    """Posts of a test rig: a cubic spline through the heights of every post over time, with its exact time derivative.
 
-    A post begins at its first height, rests there before, and stays at the last one after. Slopes are zero at both ends. The
-    vehicle stands, so no wheel meets what another one met, and speed changes nothing. It starts at rest on the first heights,
-    which are measured from their mean.
+    Before its first point, a post stays at its first height; after its last point, it stays at its last height. Slopes are zero
+    at both ends. The vehicle does not move forward, so all wheels are independent and the speed has no effect. It starts in
+    equilibrium on the first heights, whose mean is the datum.
 
     Attributes:
-        time: ascending [s], shape (P,).
-        heights: heights of the posts [m], shape (P, K).
-        posts: wheel on each post: the name of its road signal or its road's body, or the suffix of either; K of them.
-        source: the file.
+        time: times of the points [s], ascending, shape (P,).
+        heights: heights of the K posts [m], shape (P, K).
+        posts: names of the wheels on the K posts: the road signal, the body of the road, or the suffix of either.
+        source: name of the file.
 
     Raises:
-        InputError: times that do not ascend or leave a gap, numbers that are not finite, strokes of no post, too few points.
+        InputError: times do not ascend or have a gap, a number is not finite, a stroke is too long, or there are too few
+            points.
     """
 
     time: Array
@@ -56,14 +57,14 @@ class Rig(MeasuredRoad):
 
     @property
     def duration(self) -> float:
-        """Time from the first point to the last [s]."""
+        """Time from the first point to the last point [s]."""
         return float(self.time[-1] - self.time[0])
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the post under a wheel.
+        """Returns the name of the post under a wheel.
 
         Raises:
-            InputError: no post has the wheel's name.
+            InputError: no post has the name of this wheel.
         """
         for post in self.posts:
             if post_name(post) in _names(wheel):
@@ -71,20 +72,20 @@ class Rig(MeasuredRoad):
         raise InputError(f"no column is called {_names(wheel)[0]} like the wheel; the columns are {list_names(self.posts[:20])}")
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns zero: the vehicle stands."""
+        """Returns 0, because the vehicle does not move forward."""
         return 0.0
 
     def start(self, side: str) -> tuple[float, float]:
-        """Returns the first height of a post, and 0; without a name that of the first post."""
+        """Returns the first height of a post [m], and the rate 0; without a name, those of the first post."""
         first = self.heights[0]
         return float(first[self._index(side)] - first.mean()), 0.0
 
     def departure(self, t: Array, side: str) -> Array:
-        """Returns the spline of a post, from its first height."""
+        """Returns the spline of a post relative to its first height [m]."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
     def departure_rate(self, t: Array, side: str) -> Array:
-        """Returns the derivative of the spline."""
+        """Returns the time derivative of the spline [m/s]."""
         t = np.asarray(t, dtype=float)
         on = (t >= 0) & (t <= self.duration)
         return np.where(on, self._splines[self._index(side)](np.clip(t, 0.0, self.duration), 1), 0.0)
@@ -96,12 +97,12 @@ class Rig(MeasuredRoad):
 
     @property
     def points(self) -> bytes:
-        """Its points bit for bit, as a CSV file: time [s], heights [m]."""
+        """All points as a CSV file with exact numbers: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
-        """File, posts, points, duration, lowest and highest height."""
+        """Returns file, posts, number of points, duration, and lowest and highest height."""
         return {
             "type": "rig",
             "source": self.source,
@@ -113,7 +114,7 @@ class Rig(MeasuredRoad):
         }
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks the rig as any road, and that every wheel of the vehicle has a post."""
+        """Checks the rig like any road, and checks that every wheel of the vehicle has a post."""
         posts = {self.track_of(wheel) for wheel in vehicle.kind.wheels}
         for post in self.posts:
             if post not in posts:
@@ -125,7 +126,7 @@ class Rig(MeasuredRoad):
         super().check(vehicle, time)
 
     def scaled(self, factor: float) -> "Rig":
-        """Returns the histories multiplied by a factor."""
+        """Returns the rig with all heights multiplied by a factor."""
         return replace(self, heights=factor * self.heights)
 
     def _index(self, side: str) -> int:
@@ -133,35 +134,39 @@ class Rig(MeasuredRoad):
 
     @cached_property
     def _splines(self) -> "list[CubicSpline]":
-        from scipy.interpolate import CubicSpline  # half a second
+        from scipy.interpolate import CubicSpline  # this import takes 0.5 s
 
         rises = self.heights - self.heights[0]
         return [CubicSpline(self.time - self.time[0], rise, bc_type="clamped") for rise in rises.T]
 
 
 def post_name(text: str) -> str:
-    """Returns the normal form of a column's name: `Front Left`, `LF` and `road_displacement_front_left` are equal."""
+    """Returns the normal form of a column's name.
+
+    `Front Left`, `LF` and `road_displacement_front_left` are equal in this form.
+    """
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
     return CORNERS.get(name, name)
 
 
 def _names(wheel: Wheel) -> tuple[str, ...]:
-    """Returns the possible names of the post under a wheel, the usual one first."""
+    """Returns the possible names of the post under a wheel, the usual name first."""
     signal, body = wheel.road_displacement, wheel.road_body
     ending = signal.removeprefix("road_displacement_")
     return tuple(dict.fromkeys(post_name(name) for name in (ending, signal, body)))
 
 
 def check_history(time: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
-    """Checks that points make the histories of posts.
+    """Checks that points are valid height histories of posts.
 
     Args:
         time: times of the heights [s], shape (P,).
         heights: heights of the posts [m], shape (P, K).
-        where: index -> what a message calls the point.
+        where: function that returns the name of a point in messages, for its index.
 
     Raises:
-        InputError: times that do not ascend or leave a gap, numbers that are not finite, strokes of no post, too few points.
+        InputError: times do not ascend or have a gap, a number is not finite, a stroke is too long, or there are too few
+            points.
     """
     check_ascending("time history", time, heights, where, "time", "s")
     rises = np.abs(heights - heights[0])
@@ -173,10 +178,10 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
 
 
 def check_posts(posts: Sequence[str]) -> None:
-    """Checks that every post has a name of its own.
+    """Checks that the posts have different, valid names.
 
     Raises:
-        InputError: two posts are the same wheel's, one has no name, or there are none.
+        InputError: two posts belong to the same wheel, a post has no name, or there are no posts.
     """
     if not posts:
         raise InputError("there are no columns of heights; give one column for each wheel")
@@ -193,10 +198,10 @@ def check_posts(posts: Sequence[str]) -> None:
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """Returns a rig from `Rig.points` bit for bit.
+    """Returns a rig from `Rig.points`, with exact numbers.
 
     Raises:
-        InputError: the content is wrong.
+        InputError: the content is not valid.
     """
     (_, *posts), table = read_points(content, "rig")
     return Rig(table[:, 0], table[:, 1:], tuple(posts), source)

@@ -1,6 +1,7 @@
-"""Drive files of rigs as text: a column of time, and one of heights for each wheel, named and with its unit above it.
+"""Drive files of test rigs as text: a column of time, and a column of heights for each wheel.
 
-MTS's binary RPC III is not read: the public reader, rpc-reader 0.9 of 2022, reads files of big-endian machines wrongly.
+The heading of a column gives its name and unit. The binary format RPC III of MTS is not supported, because the public reader
+(rpc-reader 0.9 of 2022) reads big-endian files incorrectly.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ FORMAT = "give a line of headings such as: time [s], front_left [mm], front_righ
 
 @dataclass(frozen=True)
 class RigSettings(Section):
-    """Settings of a drive file for headings without a unit."""
+    """Settings of a drive file, for headings without a unit."""
 
     time_unit: Annotated[str, Choice("unit of time", tuple(TIME))] = ""
     height_unit: Annotated[str, Choice("unit of all heights", tuple(LENGTH))] = ""
@@ -31,10 +32,12 @@ def read_rig(path: Path, settings: RigSettings) -> Rig:
     """Reads a rig from a text file.
 
     Args:
+        path: path of the file.
         settings: units for headings without a unit.
 
     Raises:
-        InputError: the file cannot be read, a heading or a line is wrong, or they make no histories. It names file and line.
+        InputError: the file cannot be read, a heading or line is wrong, or the heights are not valid. The message gives the
+            file and the line.
     """
     with reading(path, "drive file", FORMAT):
         table = find_table(table_text(path), FORMAT)

@@ -1,4 +1,4 @@
-"""Roads: the height under a wheel as a function of time, and its exact derivative."""
+"""Roads: height under a wheel as a function of time, with its exact time derivative."""
 
 import math
 from abc import ABC, abstractmethod
@@ -25,64 +25,67 @@ HIGHEST = 10.0  # m
 Length = Annotated[float, SI("m", "length", 1e-3, 1e4)]
 Speed = Annotated[float, SI("m/s", "speed of the vehicle", 1e-3, 1e3)]
 Track = Annotated[str, Choice("side of the road that it is under", ("left", "right", "both"))]
-STEADY = 1e-12  # of the largest state, or term of a signal, in steady motion; what is smaller is rounding
-LOWEST = 1e-5  # m; the effect of a lower road is lost in the rounding of a vehicle's weight
+STEADY = 1e-12  # relative to the largest state or signal term in steady motion; smaller values are rounding errors
+LOWEST = 1e-5  # m; rounding errors of the vehicle's weight would hide the effect of a lower road
 
 
 class Road(ABC):
-    """Road driven at constant speed, or posts that move. Time 0 is when the first wheel reaches its start."""
+    """Road driven at constant speed, or moving posts of a rig. At time 0, the first wheel reaches the start of the road."""
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
 
     track: str = "both"
-    """The side that it lies under: "left", "right" or "both"."""
+    """The side of the vehicle under which the road is not flat: "left", "right" or "both"."""
 
     laid: bool = True
-    """True if it lies along the way, so that every wheel of a side drives over it; False for a rig with a post per wheel."""
+    """True if the road lies along the driving direction, so all wheels of a side drive over it. False for posts of a rig."""
 
     @property
     def duration(self) -> float:
-        """Time of a wheel on it [s]; infinite for a road without end."""
+        """Time from the start to the end of the road for one wheel [s]; infinite for a road without end."""
         return math.inf
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the side of a wheel, as `displacement` takes it."""
+        """Returns the side of a wheel, as the argument `side` of `displacement`."""
         return wheel.side
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns the delay of a wheel after the first one [s]."""
+        """Returns the delay of a wheel relative to the first wheel [s]."""
         return wheel.behind(parameters) / self.speed
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the numbers in its description, by name."""
+        """Units of the numbers in the road's description, by name."""
         return {name: key.unit for name, key in keys(type(self)).items()} if isinstance(self, Section) else {}
 
     @property
     def spectrum(self) -> "Spectrum | None":
-        """Spectrum of a random road; None for others."""
+        """Spectrum of a random road; None for other roads."""
         return None
 
     @property
     def points(self) -> bytes | None:
-        """Data too long for `describe`, as a CSV file; None if the description alone gives the road."""
+        """Data of the road that are too long for `describe`, as a CSV file; None if the description is complete."""
         return None
 
     @property
     def from_start(self) -> "Road":
-        """The road measured from the steady motion in which the vehicle starts, see `MeasuredRoad`; itself if that is rest."""
+        """The road relative to the steady motion in which the vehicle starts (`MeasuredRoad`).
+
+        The same road if the vehicle starts in equilibrium on flat ground.
+        """
         return self
 
     @property
     def warnings(self) -> list[str]:
-        """Remarks on numbers that are probably in another unit: a speed, or the height of an obstacle."""
+        """Warnings about numbers that probably have another unit: the speed, or the height of an obstacle."""
         heights = ({"obstacle": KnownQuantity(name, abs(getattr(self, name)), "m")} for name in getattr(self, "tall", ()))
         return remarks([{"speed": KnownQuantity("speed", self.speed, "m/s")}, *heights])
 
     @property
     def loaded(self) -> bool:
-        """True if loads act on the vehicle's body."""
+        """True if loads act on the body of the vehicle."""
         return False
 
     @property
@@ -91,21 +94,42 @@ class Road(ABC):
         return ()
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
-        """Returns the loads on a vehicle's body [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
+        """Returns the loads on a vehicle's body [N, N m], shape (T, l), in the order of its vehicle type.
+
+        Args:
+            vehicle: the vehicle, with l loads.
+            t: times [s], shape (T,).
+        """
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the loads that physics holds over steps, by their middle times t [s], see `loads`: those at t."""
+        """Returns the loads that MuJoCo holds over time steps, shape (T, l): by default, those in the middle of each step.
+
+        Args:
+            vehicle: the vehicle, with l loads.
+            t: middle times of the steps [s], shape (T,).
+            timestep: length of a step [s].
+        """
         return self.loads(vehicle, t)
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape.
+
+        See `Wheel.side` and `track_of`.
+        """
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the height at which physics holds it over steps [m], by their middle times t [s], same shape: the one at t.
+        """Returns the height that MuJoCo holds over time steps [m], same shape as t.
 
-        A measured road, whose points may be closer than a step, is held at its mean height over the step.
+        By default, this is the height in the middle of each step.
+
+        A measured road may have several points within a step. It is held at its mean height over the step.
+
+        Args:
+            t: middle times of the steps [s].
+            timestep: length of a step [s].
+            side: side of the wheel; see `displacement`.
         """
         return self.displacement(t, side)
 
@@ -115,28 +139,29 @@ class Road(ABC):
 
     @abstractmethod
     def scaled(self, factor: float) -> "Road":
-        """Returns the road with its heights multiplied."""
+        """Returns the road with all heights multiplied by a factor."""
 
     @property
     @abstractmethod
     def kinks(self) -> tuple[float, ...]:
-        """Times [s] at which `velocity` or one of its derivatives jumps; a quadrature must not step across one."""
+        """Times [s] at which `velocity` or one of its derivatives jumps. An integration must not step across these times."""
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Times [s] at which the height jumps, and by how much [m]: to the left of a jump the road has its earlier height.
+        """Times [s] at which the height jumps, each with the change of height [m].
 
-        The velocity leaves them out. They are among the kinks.
+        At the time of a jump, the road still has its earlier height. `velocity` does not include jumps; `kinks` includes their
+        times.
         """
         return ()
 
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
-        """Returns its kind under `type`, then its numbers in SI units."""
+        """Returns the type of the road (key `type`), then its numbers in SI units."""
 
     @property
     def words(self) -> str:
-        """The description on a line for people, without long lists."""
+        """The description as one line of text, without long lists."""
         kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list) and value != ""]
         units = self.units
         number = [
@@ -146,10 +171,14 @@ class Road(ABC):
         return ", ".join([str(kind[1]), *number])
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks that a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
+        """Checks that the road suits the vehicle and the sample times, and that it excites the vehicle unless it is flat.
+
+        Args:
+            vehicle: the vehicle.
+            time: sample times of the run, from 0 [s].
 
         Raises:
-            InputError: the road ends within two timesteps, is under one side of a vehicle with one track, or is too low.
+            InputError: the road ends within two timesteps, is too low, or lies under one side of a vehicle with one track.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep and not self.jumps:
@@ -172,30 +201,34 @@ class Road(ABC):
 
 @dataclass(frozen=True)
 class Obstacle(Section, Road):
-    """Road that a few numbers describe: its fields, the keys of its text, its table and its record in a log.
+    """Road with a few numbers: the fields of the class. They are also the keys in texts, in tables and in logs.
 
     Raises:
-        InputError: a number out of its range, or in a unit of another dimension.
+        InputError: a number is out of its range, or has a unit of another dimension.
     """
 
     kind: ClassVar[str]
-    tall: ClassVar[tuple[str, ...]] = ("height",)  # fields that a factor on its heights multiplies
+    tall: ClassVar[tuple[str, ...]] = ("height",)  # fields that `scaled` multiplies
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
 
     def describe(self) -> dict[str, float | str]:
-        """Returns its kind under `type`, and its fields."""
+        """Returns the type of the road (key `type`), and its fields."""
         return {"type": self.kind, **asdict(self)}
 
     def scaled(self, factor: float) -> Road:
-        """Returns the road higher or lower."""
+        """Returns the road with heights multiplied by a factor."""
         return replace(self, **{name: getattr(self, name) * factor for name in self.tall})
 
 
 @dataclass(frozen=True)
 class Bump(Obstacle):
-    """Isolated bump (61): one period of a cosine. Defaults are the paper's (62)."""
+    """Isolated bump (61): one period of a cosine. The defaults are those of the paper (62).
+
+    Raises:
+        InputError: a number is out of its range, or has a unit of another dimension.
+    """
 
     kind: ClassVar[str] = "bump"
     height: Annotated[float, SI("m", "height", -HIGHEST, HIGHEST)] = BUMP_HEIGHT
@@ -209,18 +242,18 @@ class Bump(Obstacle):
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns equation (61)."""
+        """Returns the height of equation (61)."""
         on = self._on(t, side)
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative of (61)."""
+        """Returns the time derivative of (61)."""
         on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends."""
+        """Times of both ends of the bump [s]."""
         return (0.0, self.duration)
 
     def _on(self, t: Array, side: str) -> Array:
@@ -229,7 +262,7 @@ class Bump(Obstacle):
 
 @dataclass(frozen=True, eq=False)
 class DerivedRoad(Road):
-    """Road made of another one: same speed, track, duration and kinks.
+    """Road that is derived from another road, with the same speed, track, duration and kinks.
 
     Attributes:
         road: the other road.
@@ -239,129 +272,135 @@ class DerivedRoad(Road):
 
     @property
     def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Speed on the road [m/s]."""
+        """Speed on the other road [m/s]."""
         return self.road.speed
 
     @property
     def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Track of the road."""
+        """Track of the other road."""
         return self.road.track
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the road's description."""
+        """Units of the other road's description."""
         return self.road.units
 
     @property
     def duration(self) -> float:
-        """Duration of the road [s]."""
+        """Duration of the other road [s]."""
         return self.road.duration
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Kinks of the road."""
+        """Kinks of the other road."""
         return self.road.kinks
 
     @property
     def warnings(self) -> list[str]:
-        """Remarks on the road."""
+        """Warnings about the other road."""
         return self.road.warnings
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the road."""
+        """Jumps of the other road."""
         return self.road.jumps
 
     @property
     def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the road is laid."""
+        """True if the other road lies along the driving direction."""
         return self.road.laid
 
     def track_of(self, wheel: Wheel) -> str:
-        """Returns the track of the road under a wheel."""
+        """Returns the track of the other road under a wheel."""
         return self.road.track_of(wheel)
 
     def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns the delay of a wheel on the road [s]."""
+        """Returns the delay of a wheel on the other road [s]."""
         return self.road.delay_of(wheel, parameters)
 
 
 class MeasuredRoad(Road):
-    """Road of measured heights, on which a vehicle starts in steady motion: its wheels climb a straight line each.
+    """Road of measured heights. The vehicle starts on it in steady motion: each wheel climbs a straight line.
 
-    Heights are measured from one datum, the mean of the heights at the first contacts.
+    Heights are relative to one datum, the mean of the heights at the first contact points.
     """
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the numbers in its description."""
+        """Units of the numbers in the road's description."""
         return {**dict.fromkeys(("from", "length", "lowest", "highest"), "m"), "duration": "s", "speed": "m/s"}
 
     @abstractmethod
     def start(self, side: str) -> tuple[float, float]:
-        """Returns height [m] at time 0 and rate [m/s] of the steady motion on a side."""
+        """Returns the height [m] at time 0, and the rate of change [m/s], of the steady motion on a side."""
 
     @abstractmethod
     def departure(self, t: Array, side: str) -> Array:
-        """Returns the height of the road over the steady motion [m] at times t [s], same shape; 0 up to time 0."""
+        """Returns the height of the road above the steady motion [m] at times t [s], same shape; 0 up to time 0."""
 
     @abstractmethod
     def departure_rate(self, t: Array, side: str) -> Array:
         """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height over the datum."""
+        """Returns the height above the datum [m]."""
         height, rate = self.start(side)
         return height + rate * np.asarray(t) + self.departure(t, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative."""
+        """Returns the time derivative of the height [m/s]."""
         return self.start(side)[1] + self.departure_rate(t, side)
 
     @property
     @abstractmethod
     def knots(self) -> Array:
-        """Times of the points, ascending [s]; between them `departure` is a line or a cubic."""
+        """Times of the points [s], ascending. Between two of them, `departure` is a line or a cubic."""
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Every point: many of a spline in one step would be too much for its quadrature."""
+        """Times of all points [s]. They are kinks for splines, too: many spline segments in one step reduce the accuracy."""
         return tuple(self.knots.tolist())
 
     def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
-        """Returns the mean of `departure` over steps [m], by their middle times t [s], same shape; exact but for rounding."""
+        """Returns the mean of `departure` over time steps [m], exact except for rounding errors.
+
+        Args:
+            t: middle times of the steps [s].
+            timestep: length of a step [s].
+            side: side of the wheel.
+        """
         return means(lambda t: self.departure(t, side), self.knots, t, timestep)
 
     @property
     def from_start(self) -> "Departure":
-        """The road measured from the steady motion."""
+        """The road relative to the steady motion."""
         return Departure(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Departure(DerivedRoad):
-    """Measured road, measured from the steady motion in which the vehicle starts."""
+    """Measured road relative to the steady motion in which the vehicle starts."""
 
     road: MeasuredRoad
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height over the steady motion."""
+        """Returns the height above the steady motion [m]."""
         return self.road.departure(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns its mean over steps."""
+        """Returns the mean height above the steady motion over time steps [m]."""
         return self.road.mean_departure(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns its derivative."""
+        """Returns the time derivative of the height above the steady motion [m/s]."""
         return self.road.departure_rate(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the description of the road."""
+        """Returns the description of the measured road."""
         return self.road.describe()
 
     def scaled(self, factor: float) -> Road:
-        """Returns the multiplied road, measured from its own steady motion."""
+        """Returns the measured road with multiplied heights, relative to its own steady motion."""
         return self.road.scaled(factor).from_start
 
 
@@ -370,55 +409,58 @@ class ScaledRoad(DerivedRoad):
     """Road with multiplied heights.
 
     Attributes:
-        factor: factor on its heights.
+        factor: factor on the heights.
     """
 
     factor: float
 
     @property
     def jumps(self) -> tuple[tuple[float, float], ...]:
-        """Jumps of the road, multiplied."""
+        """Jumps of the other road, multiplied by the factor."""
         return tuple((time, self.factor * height) for time, height in self.road.jumps)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the multiplied height."""
+        """Returns the multiplied height [m]."""
         return self.factor * self.road.displacement(t, side)
 
     def held_height(self, t: Array, timestep: float, side: str = "") -> Array:
-        """Returns the multiplied height of the steps."""
+        """Returns the multiplied heights that MuJoCo holds over time steps [m]."""
         return self.factor * self.road.held_height(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the multiplied velocity."""
+        """Returns the multiplied velocity [m/s]."""
         return self.factor * self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the road's description and the factor."""
+        """Returns the description of the other road, and the factor."""
         return {**self.road.describe(), "factor": self.factor}
 
     def scaled(self, factor: float) -> "ScaledRoad":
-        """Returns the road higher or lower."""
+        """Returns the road with a further factor on its heights."""
         return ScaledRoad(self.road, self.factor * factor)
 
 
 def means(function: Callable[[Array], Array], knots: Array, t: Array, length: float) -> Array:
-    """Returns means of a function over intervals, same shape as t; exact if it is a line or a cubic between knots.
+    """Returns the means of a function over intervals, same shape as t.
+
+    The result is exact if the function is a line or a cubic between knots.
 
     Args:
-        function: function to average, continuous.
+        function: continuous function to average.
         knots: points at which the function has a kink, ascending, shape (K,).
         t: middles of the intervals.
-        length: length of each.
+        length: length of every interval.
     """
     start, end = t - length / 2, t + length / 2
 
     def area(a: Array, b: Array) -> Array:
-        """Returns integrals by two points of Gauss."""
+        """Returns integrals from a to b, by Gauss quadrature with two points."""
         middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
         return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
 
     mean = area(start, end) / length
-    first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1  # knots inside
+    # First and last knot inside each interval
+    first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1
     (some,) = np.nonzero(first <= last)
     if len(some):
         first, last = first[some], last[some]
@@ -429,41 +471,44 @@ def means(function: Callable[[Array], Array], knots: Array, t: Array, length: fl
 
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
-    """Returns the delay of each wheel after the first one [s]."""
+    """Returns the delay of each wheel relative to the first wheel [s]."""
     return [road.delay_of(wheel, vehicle.parameters) for wheel in vehicle.kind.wheels]
 
 
 def track_width(vehicle: Vehicle) -> float:
-    """Returns the distance from the rightmost wheel to the leftmost [m]; 0 for a vehicle with one track."""
+    """Returns the lateral distance between the outermost wheels [m]; 0 for a vehicle with one track."""
     lateral = [wheel.lateral(vehicle.parameters) for wheel in vehicle.kind.wheels]
     return max(lateral) - min(lateral)
 
 
 def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: Vehicle, t: Array) -> Array:
-    """Returns a road's `displacement` or `velocity` under every wheel, shape (T, r), at times t [s] of shape (T,).
+    """Returns the displacement or velocity of a road under every wheel, shape (T, r).
 
     Args:
         function: `road.displacement` or `road.velocity`.
-        vehicle: r wheels.
-        t: times [s].
+        road: the road.
+        vehicle: vehicle with r wheels.
+        t: times [s], shape (T,).
     """
     tracks = [(delay, road.track_of(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
     return np.stack([function(t - delay, track) for delay, track in tracks], axis=-1)
 
 
-SAME_TIME = 1e-12  # relative rounding of a time over the timestep
+SAME_TIME = 1e-12  # rounding error of a time, relative to the timestep
 
 
 def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
-    """Returns the jumps of a road's height: time [s], wheel by index, and how far [m]."""
+    """Returns the jumps of a road's height under the wheels: time [s], index of the wheel, and change of height [m]."""
     later = enumerate(delays(road, vehicle))
     return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
 
 
 class Edge(NamedTuple):
-    """Vertical edge of the road at a sample: the change of the heights to its other side [m], shape (r,).
+    """Vertical edge of the road at a sample.
 
-    `behind` is True if the sample has the height behind the edge.
+    Attributes:
+        change: change of the heights under the r wheels, to the other side of the edge [m], shape (r,).
+        behind: True if the sample already has the height behind the edge.
     """
 
     change: Array
@@ -472,17 +517,17 @@ class Edge(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadInput:
-    """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
+    """Road and loads at the samples of a run. Each quantity is computed once, when it is first needed.
 
-    Heights and velocities are measured from the steady motion in which the vehicle starts (`MeasuredRoad`), which is an inertial
-    frame in which the run starts from rest. `steady` is that motion.
+    Heights and velocities are relative to the steady motion in which the vehicle starts (`MeasuredRoad`). This is an inertial
+    frame in which the run starts in equilibrium. `steady_signals` returns the steady motion.
 
     Attributes:
-        vehicle: r wheels, and a body that l loads push.
+        vehicle: vehicle with r wheels and l loads on its body.
         road: the road.
         time: equidistant sample times [s], shape (T,).
-        earlier: True to repeat a run of an earlier version, whose signals at a sample were under the load of the step from there,
-            and lacked the other side of vertical edges.
+        earlier: True to repeat a run of an earlier version. In these runs, the signals at a sample used the load of the step
+            that begins there, and vertical edges had only one side.
     """
 
     vehicle: Vehicle
@@ -497,27 +542,30 @@ class RoadInput:
 
     @property
     def loaded(self) -> bool:
-        """True if there are loads."""
+        """True if loads act on the body."""
         return self.road.loaded
 
     @property
     def has_held_inputs(self) -> bool:
-        """True if something held acts beside the road's heights: loads, or its velocities through tyres that damp."""
+        """True if other inputs than road heights are held over steps: loads, or road velocities through tyres with damping."""
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
     def relative_road(self) -> Road:
-        """The road measured from the steady motion."""
+        """The road relative to the steady motion."""
         return self.road.from_start
 
     def steady_signals(self, time: Array) -> Array | None:
-        """Returns the vehicle's signals in the steady motion, by its linear model, shape (T, S); None for rest on a flat road.
+        """Returns the vehicle's signals in the steady motion, from its linear model.
 
-        The state rests at x = -A^-1 (Bw w + Br z_r): velocities are those of the plane, and deflections are zero, except where
-        posts twist the vehicle, or the weight of a body with a roll or pitch axis leans.
+        The state is constant, x = -A^-1 (Bw w + Br z_r). Velocities are those of the inclined plane. Deflections are zero
+        except in two cases: posts that warp the vehicle, and the weight of an inclined body with a roll or pitch axis.
 
         Args:
             time: times [s], shape (T,).
+
+        Returns:
+            Signals, shape (T, S); None for equilibrium on a flat road.
         """
         if not isinstance(self.relative_road, Departure):
             return None
@@ -541,18 +589,18 @@ class RoadInput:
 
     @cached_property
     def midway(self) -> Array:
-        """Heights at which MuJoCo holds the road over the steps from the samples [m], shape (T, r)."""
+        """Heights at which MuJoCo holds the road over the steps that begin at the samples [m], shape (T, r)."""
         return self.held_heights(self.time + self.timestep / 2)
 
     def held_heights(self, middle: Array) -> Array:
-        """Returns heights at which MuJoCo holds the road [m], shape (T, r), over steps with these middle times [s]."""
+        """Returns the heights at which MuJoCo holds the road over steps with given middle times [s] [m], shape (T, r)."""
         return under_wheels(
             lambda t, side: self.relative_road.held_height(t, self.timestep, side), self.relative_road, self.vehicle, middle
         )
 
     @cached_property
     def velocities(self) -> Array:
-        """Rates of the heights at the samples [m/s], shape (T, r)."""
+        """Rates of change of the heights at the samples [m/s], shape (T, r)."""
         return under_wheels(self.relative_road.velocity, self.relative_road, self.vehicle, self.time)
 
     @cached_property
@@ -562,42 +610,48 @@ class RoadInput:
 
     @cached_property
     def held_loads(self) -> Array:
-        """Loads as MuJoCo holds them over the steps from the samples [N, N m], shape (T, l)."""
+        """Loads that MuJoCo holds over the steps that begin at the samples [N, N m], shape (T, l)."""
         return self.road.held_loads(self.vehicle, self.time + self.timestep / 2, self.timestep)
 
     @cached_property
     def held_velocities(self) -> Array:
-        """Mean velocities of the heights over the steps from the samples [m/s], shape (T, r), at which MuJoCo holds them.
+        """Mean rates of the heights over the steps that begin at the samples [m/s], shape (T, r).
 
-        With them a tyre's damping has the impulse c dz of every step, also over a kink or an edge.
+        MuJoCo holds these velocities.
+
+        With a mean rate, tyre damping c gives the impulse c dz in every step, even across a kink or an edge.
         """
         end = under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, self.time[-1:] + self.timestep)
         return np.diff(self.heights, axis=0, append=end) / self.timestep
 
     @cached_property
     def held_inputs(self) -> Array:
-        """All that is held over the steps: loads, and if tyres damp the road's velocities, shape (T, l) or (T, l + r)."""
+        """All inputs that are held over the steps: loads, and road velocities if tyres have damping.
+
+        The shape is (T, l), or (T, l + r) with tyre damping.
+        """
         if not self.vehicle.linear_model.tyres_damp:
             return self.held_loads
         return np.hstack([self.held_loads, self.held_velocities])
 
     @cached_property
     def in_signals(self) -> Array:
-        """Inputs of the signals of the samples: the loads there, and the road's velocities as held; shape as of `held_inputs`."""
+        """Inputs of the signals at the samples: the loads there, and the held road velocities; shape of `held_inputs`."""
         return self.held_inputs if self.earlier else np.hstack([self.loads, self.held_inputs[:, self.loads.shape[1] :]])
 
     @cached_property
     def in_readings(self) -> Array:
-        """Inputs of the measurements, before new forces: the loads at the samples, and velocities held until then."""
+        """Inputs of the measurements, before new forces act: the loads at the samples, and the velocities held until then."""
         before = np.concatenate([np.zeros_like(self.held_inputs[:1]), self.held_inputs[:-1]])
         return before if self.earlier else np.hstack([self.loads, before[:, self.loads.shape[1] :]])
 
     def vertical_edges(self, held: bool = True) -> dict[int, Edge]:
-        """Returns the vertical edges of the road, by sample.
+        """Returns the vertical edges of the road, by number of the sample.
 
         Args:
-            held: True for the road that MuJoCo holds over steps. It jumps at the first sample of a step if its midpoint is behind
-                the edge, else at the last one, which already has the height behind. False for the last samples before edges.
+            held: True for the road that MuJoCo holds over steps. An edge in the first half of a step acts at the beginning of
+                the step. An edge in the second half acts at the end, where the sample already has the height behind the edge.
+                False for the last samples before the edges.
         """
         edges: dict[int, Edge] = {}
         for at, wheel, height in jumps_under_wheels(self.road, self.vehicle) if not self.earlier else ():
@@ -609,10 +663,10 @@ class RoadInput:
         return edges
 
     def ahead(self, count: int) -> Array:
-        """Returns heights under the wheels at so many further samples after the last [m], shape (count, r)."""
+        """Returns the heights under the wheels at a number of samples after the last one [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
         return under_wheels(self.relative_road.displacement, self.relative_road, self.vehicle, after)
 
     def scaled(self, share: float) -> "RoadInput":
-        """Returns the input with heights and loads multiplied."""
+        """Returns the input with heights and loads multiplied by a factor."""
         return replace(self, road=self.road.scaled(share))

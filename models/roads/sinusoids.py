@@ -1,4 +1,4 @@
-"""Roads of sinusoids: sums, a single one, one for the worst case, and a sweep with rising frequency."""
+"""Roads made of sinusoids: a sum, a single sinusoid, a worst-case road, and a sweep with rising frequency."""
 
 import math
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from models.common.schema import SI, Choice, ListedValues, Section
 from models.roads.road import Obstacle, Road, Speed
 
 Start = Annotated[float, SI("s", "time at which the first wheel reaches it", 0.0, 1e4)]
-BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
+BLOCK = 4_000_000  # number of sines that are evaluated together; a larger number only needs more memory
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
 
 
 @dataclass(frozen=True)
 class Multisine(Section, Road):
-    """Sum of sinusoids that begins at time 0 at its own height there; before, the road is flat.
+    """Sum of sinusoids that begins at time 0. Heights are relative to that at time 0; before, the road is flat.
 
     z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
@@ -37,30 +37,30 @@ class Multisine(Section, Road):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the keys of a description without those that follow from others."""
+        """Returns the keys of a description, without those that are computed from others."""
         return {name: value for name, value in given.items() if name not in ("lines", "lowest", "highest", "rms")}
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of its description."""
+        """Units of the numbers in the description."""
         return {"lowest": "rad/s", "highest": "rad/s", "rms": "m", "speed": "m/s"}
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the sum, the same on both sides."""
+        """Returns the sum [m], equal on both sides."""
         start = float(np.dot(self.amplitudes, np.sin(self.phases)))
         return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact derivative."""
+        """Returns the exact time derivative [m/s]."""
         return np.where(t >= 0, self._sum(t, np.multiply(self.amplitudes, self.omega), np.pi / 2), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning, at which the velocity jumps. After that the road is smooth."""
+        """The beginning [s], at which the velocity jumps. After that, the road is smooth."""
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
-        """Returns number, range and rms of the lines, and every one of them."""
+        """Returns number, frequency range and rms of the sinusoids, and the numbers of each sinusoid."""
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -74,11 +74,16 @@ class Multisine(Section, Road):
         }
 
     def scaled(self, factor: float) -> "Multisine":
-        """Returns the road higher or lower."""
+        """Returns the road with heights multiplied by a factor."""
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
 
     def to_height(self, height: float, time: Array) -> "Multisine":
-        """Returns the road scaled to a peak [m], either way, over these times [s]."""
+        """Returns the road scaled to a given peak magnitude at given times.
+
+        Args:
+            height: magnitude of the largest height [m].
+            time: times at which the road is evaluated [s].
+        """
         return self.scaled(height / float(np.abs(self.displacement(time)).max()))
 
     def _sum(self, t: Array, amplitudes: Array, ahead: float) -> Array:
@@ -93,15 +98,16 @@ def _blocks(t: Array, lines: int) -> list[Array]:
 
 
 def chirp(omega: Array, period: float, speed: float) -> Multisine:
-    """Returns lines of equal velocity with Schroeder's phases: a periodic chirp without high peaks.
+    """Returns sinusoids of equal velocity amplitude with Schroeder's phases: a periodic chirp with a low crest factor.
 
-    M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89: the phases make the group delay of a line the share of the power
-    below it, so the lines take turns over the period: phi_i = -T sum over l < i of p_l (omega_i - omega_l), here p_l = 1/F.
-    Equal velocities are a road as roads are: its velocity is white (ISO 8608 with w = 2).
+    Source: M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89. The phases make the group delay at a frequency
+    proportional to the power below this frequency, so the sinusoids follow each other over the period. The phases are phi_i =
+    -T sum over l < i of p_l (omega_i - omega_l), here with the powers p_l = 1/F. Equal velocity amplitudes give white velocity,
+    as on a road of ISO 8608 with w = 2.
 
     Args:
-        omega: ascending angular frequencies [rad/s], shape (F,), multiples of 2 pi / period.
-        period: period of the signal [s].
+        omega: ascending angular frequencies [rad/s], multiples of 2 pi / period, shape (F,).
+        period: period T of the signal [s].
         speed: forward velocity [m/s].
     """
     below = np.tril(np.subtract.outer(omega, omega), -1)
@@ -109,17 +115,18 @@ def chirp(omega: Array, period: float, speed: float) -> Multisine:
 
 
 def random_road(omega: Array, seed: int, speed: float) -> Multisine:
-    """Returns lines of equal velocity with random phases.
+    """Returns sinusoids of equal velocity amplitude with random phases.
 
     Args:
         omega: angular frequencies [rad/s], shape (F,).
+        seed: seed of the phases.
         speed: forward velocity [m/s].
     """
     return _white(omega, np.random.default_rng(seed).uniform(0, 2 * np.pi, len(omega)), speed, "random")
 
 
 def sinusoid(omega: float, speed: float) -> Multisine:
-    """Returns one line that starts from standstill: z_r = 1 - cos(omega t) [m]."""
+    """Returns one sinusoid that starts with zero velocity: z_r = 1 - cos(omega t) [m]."""
     return Multisine((omega,), (1.0,), (-np.pi / 2,), speed, "sinusoid")
 
 
@@ -129,7 +136,7 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 @dataclass(frozen=True)
 class Sine(Obstacle):
-    """Sine that begins at any phase, at its own height there; before, the road is flat.
+    """Sine that begins at a given phase. Heights are relative to that at the beginning; before, the road is flat.
 
     z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
 
@@ -144,17 +151,17 @@ class Sine(Obstacle):
     start: Start = 0.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the sine, the same on both sides."""
+        """Returns the height [m], equal on both sides."""
         begins = math.sin(math.radians(self.phase))
         return np.where(t >= self.start, self.amplitude * (np.sin(self._angle(t)) - begins), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact derivative."""
+        """Returns the exact time derivative [m/s]."""
         return np.where(t >= self.start, self.amplitude * 2 * np.pi * self.frequency * np.cos(self._angle(t)), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The beginning."""
+        """The beginning of the sine [s]."""
         return (self.start,)
 
     def _angle(self, t: Array) -> Array:
@@ -163,14 +170,14 @@ class Sine(Obstacle):
 
 @dataclass(frozen=True)
 class SineSweep(Obstacle):
-    """Sine whose frequency f rises by the same factor every second, and whose height falls as 1/f.
+    """Sine sweep whose frequency f rises exponentially, and whose amplitude falls as 1/f.
 
         z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
 
-    So the road's velocity, to which a vehicle responds, has nearly the same amplitude at all frequencies.
+    For this reason, the road velocity, which excites the vehicle, has nearly the same amplitude at all frequencies.
 
     Raises:
-        InputError: a number out of its range; a last frequency that is not above the first.
+        InputError: a number is out of its range, or the last frequency is not above the first.
     """
 
     kind: ClassVar[str] = "sweep"
@@ -186,19 +193,19 @@ class SineSweep(Obstacle):
         SI("Hz", low=self.lowest * 1.001, high=100.0).number("sweep highest", self.highest)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the sweep, the same on both sides; it stays at its last height."""
+        """Returns the height [m], equal on both sides. After the sweep, it keeps its last value."""
         t = np.clip(t, 0.0, self.duration)
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the exact derivative."""
+        """Returns the exact time derivative [m/s]."""
         on, s = (t >= 0) & (t <= self.duration), np.clip(t, 0.0, self.duration)
         fading = self._rate * np.exp(-self._rate * s) * np.sin(self._angle(s))
         return np.where(on, self.amplitude * (2 * np.pi * self.lowest * np.cos(self._angle(s)) - fading), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends."""
+        """Times of both ends of the sweep [s]."""
         return (0.0, self.duration)
 
     @property

@@ -1,4 +1,4 @@
-"""Spectrum of a random road, coherency of its two tracks, and the road as every wheel of a vehicle meets it."""
+"""Spectrum of a random road, coherency of its two tracks, and the road under every wheel of a vehicle."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
 
-N0 = 0.1  # cycle/m, at which the roughness of a road is given
+N0 = 0.1  # reference spatial frequency of road roughness [cycle/m]
 
 
 @dataclass(frozen=True)
@@ -16,12 +16,14 @@ class Spectrum:
     """Spectrum of a random road that is driven at constant speed.
 
     Attributes:
-        density: one-sided, of the road's vertical velocity at `N0` [(m/s)^2/Hz]; with waviness 2 the velocity is white.
+        density: one-sided power spectral density of the vertical road velocity at `N0` [(m/s)^2/Hz]. For waviness 2, the
+            velocity is white noise.
         band: lowest and highest frequency [rad/s].
         speed: V [m/s].
-        length: distance after which the road repeats: it is a sum of lines, 1 / length apart [m].
-        track_width: lateral distance from the right track to the left [m].
-        waviness: exponent w of the displacement's spectrum, n^-w.
+        length: distance after which the road repeats [m]. The road is a sum of sinusoids whose spatial frequencies are 1 /
+            length apart.
+        track_width: lateral distance between the tracks [m].
+        waviness: exponent w of the displacement spectrum, n^-w.
     """
 
     density: float
@@ -32,43 +34,43 @@ class Spectrum:
     waviness: float = 2.0
 
     def coherency(self, omega: Array) -> Array:
-        """Returns the coherency of the two tracks at angular frequencies [rad/s], shape like omega."""
+        """Returns the coherency of the two tracks at angular frequencies [rad/s], same shape as omega."""
         return coherency(omega / (2 * np.pi * self.speed), self.track_width, self.waviness)
 
     def slope(self, omega: Array) -> Array:
-        """Returns the magnitude of the velocity relative to that at `N0`, shape like omega: 1 for waviness 2."""
+        """Returns the velocity amplitude relative to that at `N0`, same shape as omega; 1 for waviness 2."""
         return slope_power(omega / (2 * np.pi * self.speed), self.waviness) ** 0.5
 
 
 def slope_power(n: Array, waviness: float) -> Array:
-    """Returns the spectral density of a road's slope relative to that at `N0`, (n / n0)^(2 - w), at n [cycle/m]."""
+    """Returns the spectral density of a road's slope relative to that at `N0`, (n / n0)^(2 - w), for n in cycle/m."""
     return (np.asarray(n) / N0) ** (2 - waviness)
 
 
 def coherency(n: Array, width: float, waviness: float = 2.0) -> Array:
-    """Returns the coherency of two tracks of an isotropic surface (see `iso8608`), shape like n.
+    """Returns the coherency of two tracks on an isotropic surface (see `iso8608`), same shape as n.
 
-    It is 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) with x = 2 pi n b; for w = 2, x K_1(x).
+    The coherency is 2 (x/2)^(w/2) K_{w/2}(x) / Gamma(w/2) with x = 2 pi n b; for w = 2, it is x K_1(x).
 
     Args:
         n: spatial frequencies [cycle/m].
         width: distance between the tracks, b [m].
         waviness: w.
     """
-    from scipy import special  # a tenth of a second
+    from scipy import special  # importing SciPy takes 0.1 s
 
     x = 2 * np.pi * np.asarray(n) * width
     half, there = waviness / 2, np.where(x > 0, x, 1.0)
-    if waviness == 2:  # to the last bit as before other waviness was known
+    if waviness == 2:  # gives the same numbers, bit for bit, as versions without a waviness
         return np.where(x > 0, x * special.k1(there), 1.0)
     return np.where(x > 0, 2 / special.gamma(half) * (there / 2) ** half * special.kv(half, there), 1.0)
 
 
 def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """Returns the road under every wheel for a road exp(j omega t) under the first wheel, shape (F, r).
+    """Returns the road under every wheel if the road under the first wheel is exp(j omega t), shape (F, r).
 
     Args:
-        vehicle: r wheels.
+        vehicle: vehicle with r wheels.
         omega: angular frequencies [rad/s], shape (F,).
         speed: forward velocity [m/s].
     """
@@ -77,7 +79,10 @@ def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
 
 
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """Returns the two independent sources of a road in every wheel's track, relative to its velocity at `N0`, shape (F, r, 2)."""
+    """Returns the shares of two independent sources in the road velocity on every wheel's track, shape (F, r, 2).
+
+    The shares are relative to the road velocity at `N0`.
+    """
     alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
     shares = np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
@@ -85,16 +90,17 @@ def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
 
 
 def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """Returns the road under every wheel by the two independent sources, complex, shape (F, r, 2)."""
+    """Returns the road under every wheel from two independent sources, including the delays of the wheels, shape (F, r, 2)."""
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
 def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
-    """Returns the largest spacing of frequencies that resolves the delay of the last axle, and what is known ahead [rad/s].
+    """Returns the largest frequency spacing that resolves the delay of the last axle and the preview time [rad/s].
 
     Args:
+        vehicle: the vehicle.
         speed: vehicle speed [m/s].
-        ahead: time by which the road is known ahead [s].
+        ahead: preview time, by which the road is known ahead [s].
     """
     delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed + ahead
     return 2 * np.pi / delay if delay else math.inf

@@ -1,1 +1,1 @@
-"""Vehicle files: parameters, controllers, goals, weights, limits and implementation; and the MuJoCo model."""
+"""Vehicle files: parameters, controllers, goals, weights, limits and implementation. Also builds the MuJoCo model."""

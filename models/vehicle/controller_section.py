@@ -1,4 +1,4 @@
-"""All keys of `[controllers.NAME]`: goals, laws with states, laws in Python, and semi-active laws."""
+"""All keys of `[controllers.NAME]`: goals, dynamic controllers, Python laws and semi-active laws."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from models.vehicle.limits_and_implementation import LONGEST_PERIOD
 
 
 def _matrix(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a matrix of a law."""
+    """Returns the rows of a matrix of the control law."""
     return matrix_rows(value, "give a list of rows")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, GivenSection):
-    """`[controllers.NAME]` of a vehicle file."""
+    """Section `[controllers.NAME]` of a vehicle file with all its keys."""
 
     A: Annotated[Any, ReadBy("state matrix of the law x_c' = A x_c + B y, u = C x_c + D y", _matrix, allowed=ROWS)] = None
     B: Annotated[Any, ReadBy("input matrix of the law", _matrix, allowed=ROWS)] = None
@@ -62,17 +62,17 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
 
     @property
     def given(self) -> bool:
-        """True if the section has the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law."""
         return self.gain is not None or self.A is not None or (self.pid is not None and self.structure not in PATTERNS)
 
     @property
     def errors(self) -> WeightedErrors | None:
-        """Errors of its readings and forces that are weighted by frequency; None without any."""
+        """Uncertainties of measurements and forces with a frequency-dependent weight; None without these."""
         weights = {name: one for name, one in self.tolerance.items() if isinstance(one, Filter)}
         return WeightedErrors(weights) if weights else None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the law of the section in numbers, or None if the section has no numbers."""
+        """Returns the linear law in the section, or None if the section has no numbers."""
         if self.gain is not None:
             return super().linear_law(measured, corners)
         if self.A is None:
@@ -82,7 +82,7 @@ class ControllerSection(ProgramSection, SemiActiveSection, StructureSection, Giv
         for key, (rows, columns) in shapes.items():
             there = getattr(self, key)
             if not any(there) and not rows * columns:
-                continue  # of a law without states, however it is written down
+                continue  # a law without states may give its empty matrices in any form
             if len(there) != rows or any(len(row) != columns for row in there):
                 raise InputError(
                     f"{key} has {size(there)}; give {rows} row(s) of {columns} number(s), because A has {k} row(s), this vehicle "

@@ -1,4 +1,4 @@
-"""`[controllers]` of a vehicle file: the measured signals of each, and its law or its method of design."""
+"""`[controllers]` of a vehicle file: the measured signals of each controller, and its control law or design method."""
 
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
@@ -31,18 +31,19 @@ if TYPE_CHECKING:
     from models.laws.weighted_errors import WeightedErrors
 
 OTHERWISE = " for force actuators, or omit actuators to use those of [actuators]"
-RESERVED_NAMES = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+RESERVED_NAMES = ("passive", "state")  # these two controllers always exist: zero force, and full state feedback
 PUSHING_ACTUATORS = "force"  # value of `actuators` in a controller's section
 
 
 @dataclass(frozen=True)
 class DesignConditions:
-    """Sensor noise, actuator lag and loads that a controller is designed for and verified with. Default: none.
+    """Sensor noise, actuator lag and loads for which a controller is designed and certified. By default, none of these.
 
     Attributes:
-        noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
-        bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
-        loads: loads on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances in addition to the road.
+        noise: rms noise of each measured signal, in the unit of the signal; empty for exact measurements.
+        bandwidth: corner frequency of the first-order lag of every actuator [rad/s]; None for actuators without lag.
+        loads: loads on the body as additional disturbances: the name of each load, and the load that has the same weight as 1
+            m/s of the disturbance w [N, N m].
     """
 
     public_name = "design conditions, such as vehicle.hardware(name) returns"
@@ -53,7 +54,7 @@ class DesignConditions:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Keys of a controller's section, as in TOML."""
+        """The design conditions as keys of a controller's section."""
         given = {"noise": any(self.noise), "loads": dict(self.loads), "lag": self.bandwidth is not None}
         return {key: value for key, value in given.items() if value}
 
@@ -63,18 +64,19 @@ NOMINAL = DesignConditions()
 
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
-    """Controller of a vehicle file, made from `ControllerSection`.
+    """Controller of a vehicle file, created from a `ControllerSection`.
 
     Attributes:
         name: name of the controller.
-        measured: signals it measures, q of them.
-        source: a `LinearLaw`, a `DesignRequest`, a `PythonLaw` or a `SemiActiveLaw`.
-        certificate: certificate of a given law, as `python -m synth --save` wrote it; None without one.
-        hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
-        goals: goals that a gain is designed for or judged by; None for the least norm.
-        errors: errors of its readings and forces that are weighted by frequency; None without any.
-        study: True for a study: the law measures heights above a flat datum.
-        forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
+        measured: names of the q measured signals.
+        source: source of the control law: a `LinearLaw`, a `DesignRequest`, a `PythonLaw` or a `SemiActiveLaw`.
+        certificate: certificate of a given law, as written by `roadproof synth --save`; None without a certificate.
+        hardware: sensor noise, actuator lag and loads for which the controller is designed and certified.
+        goals: goals for the design or evaluation of a gain; None for a design that minimises the norm.
+        errors: uncertainties of measurements and forces with a frequency-dependent weight; None without these.
+        study: True for a theoretical study, in which the law measures heights above a flat datum.
+        forced: True if the controller drives force actuators (`actuators = "force"`), even on a vehicle with semi-active
+            dampers.
     """
 
     public_name = "an entry of vehicle.controllers"
@@ -91,27 +93,30 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Signals that it names: the measured ones, and those of its goals."""
+        """Signals that the controller refers to: the measured signals, and those of its goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
     def linear(self) -> bool:
-        """True if linear analysis applies."""
+        """True if linear analysis applies to the control law."""
         return self.source.linear
 
     @property
     def law(self) -> LinearLaw | None:
-        """The linear law whose numbers the file contains; None for all other sources."""
+        """The linear law if the file contains its numbers; otherwise None."""
         return self.source.given
 
     @property
     def request(self) -> DesignRequest:
-        """The design that it requests; the default request for a law that is not designed."""
+        """The requested design; the default request for a law that is not designed."""
         return self.source.request or DesignRequest()
 
     @property
     def parts(self) -> dict[str, str]:
-        """Its source and its options, each as in a vehicle file: rows of the table of compatible options."""
+        """The source and the options of the controller, with keys and values as in a vehicle file.
+
+        They are rows of the table of compatible options.
+        """
         given = self.source.record | self.hardware.record | (self.goals.record if self.goals is not None else {})
         if self.errors is not None:
             given["tolerance"] = given.get("tolerance", {}) | self.errors.record
@@ -119,12 +124,12 @@ class ControllerEntry:
         return parts | ({"states": "a law with states"} if "states" in parts else {})
 
     def driver(self, design: Design[T] = no_design, read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
-        """Returns the controller; arguments and errors are those of `LawSource.driver`."""
+        """Returns the controller. Arguments and errors are those of `LawSource.driver`."""
         return self.source.driver(self.name, self.measured, design, read)
 
 
 def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]:
-    """Returns the measured signals."""
+    """Returns the measured signals after checking that the vehicle can measure them."""
     measurable, study = list_names(context["measurable"]), context.get("study", False)
     if not isinstance(value, list | tuple) or not value or not all(isinstance(signal, str) for signal in value):
         raise InputError(f"{HERE} = {short_repr(value)} is not a list of signals; give a list of signals from {measurable}")
@@ -151,7 +156,13 @@ def _measured_signals(value: Any, context: Mapping[str, Any]) -> tuple[str, ...]
 
 
 def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[float, ...], ...]:
-    """Returns rows of numbers; `give` ends the message for another value."""
+    """Returns the rows of a matrix of numbers.
+
+    Args:
+        value: a number, a row of numbers or rows of numbers.
+        give: end of the error message for any other value: what to give instead.
+        largest: largest magnitude of an entry.
+    """
     rows = value if isinstance(value, list | tuple) else [value]
     if not all(isinstance(row, list | tuple) and all(is_finite(x) and abs(x) <= largest for x in row) for row in rows):
         raise InputError(f"{HERE} = {short_repr(value)} is not a matrix of numbers; {give}")
@@ -159,7 +170,7 @@ def matrix_rows(value: Any, give: str, largest: float = np.inf) -> tuple[tuple[f
 
 
 def _gain(value: Any, context: Mapping[str, Any]) -> tuple[tuple[float, ...], ...]:
-    """Returns the rows of a gain, one for each force, with a number for each measured signal."""
+    """Returns the rows of a gain: one row for each force, with one number for each measured signal."""
     m, q = len(context["corners"]), len(context.get("measured", ()))
     give = f"give {m} row(s), one for each actuator, of {q} number(s), one for each measured signal, of at most {LARGEST:g} in "
     give += f"magnitude, as in gain = {[[1.0] * q] * m}"
@@ -175,7 +186,7 @@ ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}
 
 @dataclass(frozen=True, kw_only=True)
 class SignalSection(Demands):
-    """The measured signals, which other keys of a controller's section refer to."""
+    """Keys with the measured signals. Other keys of a controller's section refer to these signals."""
 
     study: Annotated[bool, Flag("for a study: the law measures heights above a flat datum, which no sensor measures")] = False
     measured: Annotated[tuple[str, ...], ReadBy("signals that the controller measures", _measured_signals, allowed=NAMES)] = ()
@@ -183,9 +194,12 @@ class SignalSection(Demands):
 
 @dataclass(frozen=True, kw_only=True)
 class GivenSection(SignalSection):
-    """Keys of `[controllers.NAME]` of a static gain, given or designed in two steps. `ControllerSection` has all others, too."""
+    """Keys of `[controllers.NAME]` for a static gain that is given or designed in two steps.
 
-    order = design = preview = goals = errors = None  # keys and properties of other laws
+    `ControllerSection` has these and all other keys.
+    """
+
+    order = design = preview = goals = errors = None  # keys and properties of other control laws
 
     gain: Annotated[Any, ReadBy("static gain, one row for each force", _gain, allowed=ROWS)] = None
     certificate: Annotated[Mapping[str, Any], AnyTable("certificate of the law, by `roadproof synth --save`")] | None = None
@@ -205,11 +219,14 @@ class GivenSection(SignalSection):
 
     @property
     def given(self) -> bool:
-        """True if the section has the numbers of a linear law."""
+        """True if the section contains the numbers of a linear law."""
         return self.gain is not None
 
     def linear_law(self, measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw | None:
-        """Returns the law of the section in numbers, or None if the section has no numbers; arguments as of `law_structure`."""
+        """Returns the linear law in the section, or None if the section has no numbers.
+
+        Arguments are those of `law_structure`.
+        """
         return None if self.gain is None else static_law(np.array(self.gain))
 
     def law_structure(self, measured: Sequence[str], corners: Mapping[str, str]) -> LawStructure | None:
@@ -217,7 +234,7 @@ class GivenSection(SignalSection):
         return None
 
     def program(self, folder: Path | None) -> "PythonLaw | None":
-        """Returns the law in Python or the FMU; see `ProgramSection`."""
+        """Returns the Python law or the FMU; see `ProgramSection`."""
         return None
 
     def semi_active_law(
@@ -228,7 +245,7 @@ class GivenSection(SignalSection):
 
 
 def _section_class(given: Any) -> type[GivenSection]:
-    """Returns the class that reads a section: the one of all keys if it has one of them."""
+    """Returns the class that reads a section: `GivenSection`, or `ControllerSection` if the section has any other key."""
     few = not isinstance(given, Mapping) or {*given} <= {*keys(GivenSection)}
     return GivenSection if few else FEATURES.load("all keys of controllers").ControllerSection
 
@@ -243,13 +260,19 @@ def read_controllers(
     sampled: bool = False,
     dampers: Mapping[str, str] | None = None,
 ) -> dict[str, ControllerEntry]:
-    """Reads `[controllers]`: entries by name in the normal form NFC, in which names that look alike are equal.
+    """Reads `[controllers]` and returns the controllers by name.
+
+    Names are in the Unicode normal form NFC, in which names that look alike are equal.
 
     Args:
-        limits, implementation, kind: properties of the vehicle, for controllers that are designed for them.
-        folder: folder of the vehicle file and of laws in Python; None for a vehicle file from text.
-        sampled: default of `sampled` in a section.
-        dampers: suffix of the names at every adjustable damper, by force.
+        section: the section `[controllers]`.
+        model: linear model of the vehicle.
+        limits: limits of the vehicle, for controllers that are designed for them.
+        implementation: implementation of the vehicle, for controllers that are designed for it.
+        kind: vehicle type.
+        folder: folder of the vehicle file and of Python laws; None for a vehicle file from text.
+        sampled: default of the key `sampled` in a controller's section.
+        dampers: suffix of the signal names at each semi-active damper, by force.
     """
     controllers: dict[str, ControllerEntry] = {}
     facts: dict[str, Any] = {
@@ -297,7 +320,7 @@ def _entry(
     dampers: Mapping[str, str],
     sampled: bool,
 ) -> ControllerEntry:
-    """Returns the entry of a section, without what depends on other entries of the file: see `read_controllers`."""
+    """Returns the entry of a controller's section, before the checks in `read_controllers` that involve other entries."""
     forced = asked.actuators is not None
     dampers, limits = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)
     semi_active = asked.semi_active_law([key for key in given if key != "actuators"], model.outputs, model.inputs, dampers)
@@ -356,7 +379,7 @@ def _hardware(
     limits: Limits,
     implementation: Implementation,
 ) -> DesignConditions:
-    """Returns sensor noise, actuator lag and loads that a controller is designed for."""
+    """Returns the sensor noise, actuator lag and loads for which a controller is designed."""
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if asked.noise else ()
     if asked.noise and not any(noise):
         raise InputError(
@@ -364,7 +387,7 @@ def _hardware(
             f"as in noise = {{ {measured[0]} = 0.01 }}, or omit noise = true"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
-    # laws by force read forces as all else
+    # Laws with a gain for each force may measure forces like any other signal.
     by_force = request.structure is not None and request.structure.rows is not None
     if forces and not (asked.lag or by_force or request.two_steps):
         raise InputError(

@@ -1,4 +1,4 @@
-"""The JSON schema of vehicle files, with which editors complete keys, show their meanings and mark mistakes."""
+"""JSON schema of vehicle files. Editors use it to complete keys, to show their meanings and to mark mistakes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -24,10 +24,10 @@ WEIGHTED_SIGNAL = {"anyOf": [WEIGHT.json, json_schema(WeightSection)]}
 
 
 def file_schema(name: str) -> dict[str, Any]:
-    """Returns the JSON schema of the vehicle files of a built-in type, see json-schema.org, draft 2020-12.
+    """Returns the JSON schema of vehicle files of a built-in type (json-schema.org, draft 2020-12).
 
     Args:
-        name: type of the vehicle, such as "quarter_car".
+        name: name of the vehicle type, such as "quarter_car".
     """
     plain, known = kind(name), seated_kind(kind(name))
     parameters = {one.name: described_key(one.number.json, one.meaning, one.unit) for one in plain.parameters}
@@ -81,7 +81,7 @@ def file_schema(name: str) -> dict[str, Any]:
 
 
 def _element(name: str, section: type[Section]) -> dict[str, Any]:
-    """Returns the schema of a section of `[parts]` with this kind."""
+    """Returns the schema of a section of `[parts]` for one kind of force element."""
     whole, own = json_schema(PartSite), json_schema(section)
     at = {"anyOf": [whole["properties"]["at"], {"type": "string"}]}
     properties = whole["properties"] | {"kind": {"const": name}, "at": at} | own["properties"]
@@ -89,6 +89,6 @@ def _element(name: str, section: type[Section]) -> dict[str, Any]:
 
 
 def _with_places(common: type[Section], own: type[Section], places: Iterable[str]) -> dict[str, Any]:
-    """Returns the schema of a section that may have sections of single suspensions or axles below it."""
+    """Returns the schema of a section that may contain sections for single suspensions or axles."""
     whole, part = json_schema(common), json_schema(own)
     return whole | {"properties": whole["properties"] | dict.fromkeys(places, part | {"required": []}), "required": []}

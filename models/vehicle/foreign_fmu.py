@@ -1,8 +1,8 @@
-"""FMUs of other tools (FMI 2 and 3, co-simulation) as controllers, by FMPy. They run in the child process of their law.
+"""FMUs of other tools (FMI 2 and 3, co-simulation) as controllers. FMPy runs each FMU in a child process.
 
-A vehicle file names one by `fmu = "their.fmu"`. Its inputs have the names and units of the measured signals, and its outputs are
-the control forces; `inputs = { In1 = "suspension_deflection" }` and `outputs` give the signals of other names. The step from a
-sample to the next one computes the forces that are held in between.
+A vehicle file names an FMU with `fmu = "their.fmu"`. The inputs of the FMU have the names and units of the measured signals,
+and its outputs are the control forces. If an FMU has other names, the keys `inputs = { In1 = "suspension_deflection" }` and
+`outputs` assign signals to them. The step of the FMU from one sample to the next computes the forces that are held in between.
 """
 
 import hashlib
@@ -25,7 +25,13 @@ GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 
 
 def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample, "ForeignFmu | None"], Any]:
-    """Returns a law in Python that steps the FMU in a file with this checksum; `names` are signals by its own names."""
+    """Returns a Python law that steps an FMU.
+
+    Args:
+        file: path of the FMU.
+        sha256: checksum that the file must have.
+        names: signal for each variable of the FMU with another name.
+    """
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:
         fmu = ForeignFmu(Path(file), sha256, sample, names) if state is None else state
@@ -35,10 +41,10 @@ def law_of(file: str, sha256: str, names: Mapping[str, str]) -> Callable[[Sample
 
 
 class ForeignFmu:
-    """Instance of an FMU. It is terminated with this object."""
+    """Instance of an FMU. Deleting this object terminates the FMU."""
 
     def __init__(self, file: Path, sha256: str, sample: Sample, names: Mapping[str, str]) -> None:
-        """Starts the FMU, which receives the first sample for its initialization.
+        """Starts the FMU and initialises it with the first sample.
 
         Raises:
             InputError: FMPy is missing, or the FMU cannot be read, does not fit the measured signals, or fails.
@@ -68,15 +74,15 @@ class ForeignFmu:
             fmu.exitInitializationMode()
 
     def step(self, sample: Sample) -> list[float]:
-        """Returns the forces of a sample [N].
+        """Returns the forces for a sample [N].
 
         Raises:
-            InputError: the FMU fails, or ends the simulation.
+            InputError: the FMU fails or ends the simulation.
         """
         with self._errors():
             self._set_inputs(sample)
             result = self._fmu.doStep(sample.time, sample.period)
-            if result and result[1]:  # in FMI 3
+            if result and result[1]:  # FMI 3 reports the end of a simulation here
                 raise InputError("the FMU ended the simulation")
             return [getattr(self._fmu, f"get{one.type}")([one.valueReference])[0] for one in self._forces]
 
@@ -90,17 +96,18 @@ class ForeignFmu:
         _messages.clear()
         try:
             yield
-        except Exception as error:  # of many types
+        except Exception as error:  # FMPy raises many types of error
             if hasattr(self, "_end"):
                 self._end.detach()  # an FMU that has failed must not be terminated
             raise InputError(": ".join([str(error).rstrip("."), *_messages[-1:]]) + give) from error
 
 
-_messages: list[str] = []  # of errors in the present call; FMPy sends those of all instances to the logger of the last one
+# Error messages of the current call; FMPy sends messages of all instances to the logger of the last instance
+_messages: list[str] = []
 
 
 def _log(*arguments: Any) -> None:
-    status, _, text = arguments[-3:]  # in FMI 2 and 3
+    status, _, text = arguments[-3:]  # the last three arguments in both FMI 2 and FMI 3
     if status > 1:
         _messages.append(text.decode(errors="replace"))
 
@@ -112,14 +119,15 @@ def _end(fmu: Any) -> None:
 
 
 def _variables(description: Any, measured: Sequence[str], names: Mapping[str, str]) -> tuple[list[Any], list[Any]]:
-    """Returns the variables of the measured signals, and those of the forces in the order of the corners.
+    """Returns the variables of the measured signals, and the variables of the forces in the order of the corners.
 
     Raises:
         InputError: the FMU is not for co-simulation, or has other inputs, outputs or units.
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
         raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
-    real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]  # others keep start values
+    # Variables of other types keep their start values
+    real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]
     inputs, outputs = (
         {names.get(one.name, one.name): one for one in real if one.causality == kind} for kind in ("input", "output")
     )
@@ -140,13 +148,13 @@ def _variables(description: Any, measured: Sequence[str], names: Mapping[str, st
         unit = one.unit or (one.declaredType and one.declaredType.unit)
         signal = next(
             (known for known in KNOWN_SIGNALS if f"{name}_".startswith(f"{known.name}_")), None
-        )  # or one of its corners
+        )  # the name may end with a corner
         if unit and signal and _plain(unit) != signal.unit:
             raise InputError(f"{one.name} of the FMU has the unit {short_repr(unit)}; export it in {signal.unit}")
     return [inputs[name] for name in measured], forces
 
 
 def _plain(unit: str) -> str:
-    """Returns a unit in the spelling of signals."""
+    """Returns a unit in the notation of the signals."""
     plain = unit.replace("²", "2").replace("**", "").replace("^", "").replace("*", " ").replace(".", " ")
     return {"m s-1": "m/s", "m s-2": "m/s2", "rad s-1": "rad/s", "rad s-2": "rad/s2"}.get(plain, plain)

@@ -1,10 +1,10 @@
-"""Contents of files instead of their names in a vehicle file: laws, families, and tables of curves.
+"""Replacement of file names in a vehicle file by the contents of the files: control laws, vehicle families and tables.
 
-So the text of a vehicle is complete once it is read: logs, campaigns and saved files contain the numbers, and their readers never
-open a file for them. A comment names the source.
+After this replacement, the text of a vehicle is complete. Logs, campaigns and saved files contain all numbers, and their
+readers never open another file. A comment in the text gives the source of the numbers.
 
-A TOML file of a family has the key `family` of a section. A CSV file has a vehicle for every row: its header names parameters,
-its numbers are factors on them.
+A TOML file with a family contains only the key `family`, as in a controller's section. A CSV file with a family has one vehicle
+per row: the header contains names of parameters, and the numbers are factors on these parameters.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,13 +26,17 @@ GIVE_LAW = f"give a MATLAB file with A, B, C, D, or K, written by {SAVE}"
 
 
 def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
+    """Replaces names of other files in the text of a vehicle file by the contents of these files.
 
     Args:
-        folder: folder of the vehicle file, to which its paths are relative.
+        text: text of the vehicle file.
+        folder: folder of the vehicle file. Paths in the vehicle file are relative to this folder.
+
+    Returns:
+        The complete text, and the paths of the other files.
 
     Raises:
-        InputError: the text is not TOML, or a file is missing or does not contain what it should; the message names it.
+        InputError: the text is not TOML, or a file is missing or has invalid contents. The message gives the file.
     """
     data = parse_toml(text)
     replacements = [*_families(data, folder), *_laws(data, folder), *curve_tables(data, folder)]
@@ -40,10 +44,10 @@ def with_contents(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def with_sections(text: str, lines: Sequence[str]) -> str:
-    """Returns a vehicle file's text with lines added that are sections of controllers.
+    """Returns the text of a vehicle file with additional lines that contain sections of controllers.
 
     Raises:
-        InputError: the text has all controllers in one inline table, to which TOML allows no section to be added.
+        InputError: the text has all controllers in one inline table. TOML does not allow additional sections in this case.
     """
     try:
         parse_toml(f'{text}\n[controllers.""]')
@@ -55,14 +59,15 @@ def with_sections(text: str, lines: Sequence[str]) -> str:
 
 
 def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
-    """Returns a vehicle file's text for another folder, with the paths of its laws in Python and FMUs relative to it.
+    """Returns the text of a vehicle file for another folder. Paths of Python laws and FMUs become relative to that folder.
 
     Args:
         folder: the new folder.
-        laws: the sources of the laws, by controller.
+        text: text of the vehicle file.
+        laws: sources of the control laws, by controller.
 
     Raises:
-        InputError: a law's file is not in the new folder or below, where alone a vehicle file can name it.
+        InputError: the file of a law is not in the new folder or in a folder below it, as vehicle files require.
     """
     replacements = []
     for name, law in laws.items():
@@ -73,7 +78,7 @@ def text_in(folder: Path, text: str, laws: Mapping[str, LawSource]) -> str:
 
 
 def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yields name and section of each controller that has a key. Other values than sections are refused where they are read."""
+    """Yields the name and the section of each controller that has a key. Other readers refuse values that are not sections."""
     controllers = data.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():
         if isinstance(entry, dict) and key in entry:
@@ -81,7 +86,7 @@ def _entries(data: Mapping[str, Any], key: str) -> Iterator[tuple[str, Mapping[s
 
 
 def _families(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
-    """Yields the families of vehicles that controllers name files for."""
+    """Yields the vehicle families that controllers read from files."""
     for name, entry in _entries(data, KEY):
         if isinstance(file := entry[KEY], str):
             path, read = path_from(file, folder), _of_toml if file.lower().endswith(".toml") else _of_csv
@@ -106,7 +111,7 @@ def _of_csv(text: str) -> list[dict[str, Any]]:
 
 
 def _laws(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
-    """Yields the laws that controllers name MATLAB files for."""
+    """Yields the control laws that controllers read from MATLAB files."""
     for name, entry in _entries(data, "file"):
         where, file = f"[controllers.{name}]", entry["file"]
         if not isinstance(file, str) or not file:

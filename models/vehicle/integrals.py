@@ -1,4 +1,4 @@
-"""Controllers and weights with an integral: the compatible options, and the reasons against others."""
+"""Controllers and weights with an integrator: which options they can be combined with, and why not with others."""
 
 from collections.abc import Mapping
 
@@ -11,16 +11,16 @@ SAMPLED_REFUSAL = "a sampled controller returns only the sum of its samples to z
 def check_integrals(
     entry: ControllerEntry, integrals: Mapping[str, Mapping[str, float]], heard: Mapping[str, float], sampled: bool
 ) -> None:
-    """Refuses a design for which an integral in z has no norm, or that has no room for its state.
+    """Checks that every integral in z has a finite norm, and that the designed law has a state for it.
 
     Args:
         entry: a controller.
-        integrals: integrals of the vehicle's z, by name of the state.
-        heard: noise of its sensors, an rms by signal.
-        sampled: True if its designs are for the sampled loop.
+        integrals: integrated signals in the z of the vehicle, by name of the integrator state.
+        heard: sensor noise of the implementation, an rms value by signal.
+        sampled: True if the controllers are designed for the sampled loop.
 
     Raises:
-        InputError: the reason, and what to give instead.
+        InputError: the controller cannot be combined with an integral. The message gives the reason and an alternative.
     """
     if not entry.linear:
         return

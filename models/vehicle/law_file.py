@@ -1,4 +1,7 @@
-"""Controllers in MATLAB files, versions 4 to 7, as SciPy reads them: A, B, C, D or Ak, Bk, Ck, Dk, K, or num and den."""
+"""Controllers in MATLAB files of versions 4 to 7, which SciPy reads.
+
+A file contains A, B, C, D (or Ak, Bk, Ck, Dk), or a gain K, or num and den of a transfer function.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,28 +13,30 @@ from models.common.errors import InputError, first_few, list_names, short_repr
 from models.common.table import matlab_variables
 
 MATRICES = ("A", "B", "C", "D")
-OTHERS = {f"{name}k": name for name in MATRICES}  # names in text books
-TRANSFER = ("num", "den")  # of one reading and one force
+OTHERS = {f"{name}k": name for name in MATRICES}  # names in textbooks
+TRANSFER = ("num", "den")  # transfer function from one measurement to one force
 PERIODS = ("Ts", "sample_period")
-DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct made by get(sys)
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct that get(sys) returns
 SAVE = "save('FILE.mat', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
 KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}  # by the letter of the NumPy type
 
 
 def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
-    """Returns the only law in a MATLAB file.
+    """Returns the only control law in a MATLAB file.
 
     Args:
         content: bytes of the file.
 
     Returns:
-        Its matrices as in TOML, or its gain; and its sample period [s], None for a continuous or static law.
+        The matrices or the gain by key, as in a vehicle file; and the sample period [s], None for a continuous or static law.
 
     Raises:
-        InputError: the file is not of this format, or does not contain exactly one controller.
+        InputError: the file does not have this format, or does not contain exactly one controller.
     """
     where, values = _only_controller(matlab_variables(content))
-    matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones
+    matrices = {
+        name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()
+    }  # sparse matrices become dense
     if {"A", "B", "C"} & {*matrices}:
         missing = [name for name in MATRICES if name not in matrices]
         if missing:
@@ -48,7 +53,7 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
 
 
 def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Returns the place of the only controller in a file, for messages, and the variables or fields there."""
+    """Returns the only controller in a file: where it is (for messages), and its variables or fields by name."""
     names = (*MATRICES, *OTHERS, "K", *TRANSFER, *PERIODS)
     places = {"the file": {name: value for name, value in variables.items() if name in names}}
     for name, value in variables.items():
@@ -59,7 +64,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
         raise InputError(f"the file contains several controllers, in {' and '.join(holding)}; keep one of them")
     for where, values in holding.items():
         return where, _as_matrices(where, values)
-    if "None" in variables:  # SciPy's name for objects, whose own name and class are in a row of four
+    if "None" in variables:  # SciPy uses this name for objects; a row of four values contains their own name and class
         name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
         raise InputError(
             f"{name} is a MATLAB object of class {kind}, which only MATLAB can read; for a system, call "
@@ -70,7 +75,7 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
 
 
 def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the matrices of a law by their usual names; of a transfer function those of its controllable canonical form."""
+    """Returns the matrices of a law by their usual names. A transfer function becomes a controllable canonical form."""
     if both := [f"{other} and {name}" for other, name in OTHERS.items() if other in values and name in values]:
         raise InputError(f"{where} has both {both[0]}; keep one of them")
     values = {OTHERS.get(name, name): value for name, value in values.items()}
@@ -98,14 +103,14 @@ def _as_matrices(where: str, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """Returns a matrix of real finite numbers; the law checks its size."""
+    """Returns a matrix of real finite numbers. The law checks its size later."""
     if value.dtype.kind in KINDS:
         raise InputError(f"{name} is {KINDS[value.dtype.kind]}, not a matrix of numbers; in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]
 
 
 def _check_plain(matrices: Mapping[str, Any]) -> None:
-    """Refuses a struct of a system with fields other than its matrices that would change the law."""
+    """Raises InputError if the struct of a system has other fields that would change the law, such as delays."""
     E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("E is not the identity; in MATLAB, convert the system to x' = A x + B y with ss(sys, 'explicit')")

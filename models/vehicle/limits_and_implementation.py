@@ -1,4 +1,7 @@
-"""`[limits]` and `[implementation]` of a vehicle file, the properties of a real car beyond linear analysis; off by default."""
+"""`[limits]` and `[implementation]` of a vehicle file: properties of a real car that linear analysis ignores.
+
+Both are off by default.
+"""
 
 import math
 import re
@@ -22,11 +25,12 @@ if TYPE_CHECKING:
     from models.kinds.kind import Suspension
     from models.parts.stops.stop import BumpAndRebound
 
-ORDERS = ("force", "command")  # of `Limits.limit`
-MOST_ASKED = 1e9  # N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
+ORDERS = ("force", "command")  # values of `Limits.limit`
+# N of an actuator with a largest force, and no more than MuJoCo takes: what is asked for beyond counts as this
+MOST_ASKED = 1e9
 
-LONGEST_PERIOD = 1.0  # s, of a sampled controller
-MOST_DELAY = 50  # sample periods; each is a state of the sampled loop
+LONGEST_PERIOD = 1.0  # s, longest sample period of a controller
+MOST_DELAY = 50  # sample periods; each one adds states to the sampled loop
 NO_PERIOD = (
     "has sampled = true, but [implementation] gives no sample period; give it in seconds, as in sample_period = 0.01, or omit "
     "sampled"
@@ -35,7 +39,7 @@ NO_PERIOD = (
 
 @dataclass(frozen=True)
 class LimitsSection(StopSection):
-    """`[limits]` of a vehicle file, without the sections of corners."""
+    """Keys of `[limits]` in a vehicle file, without the sections of axles and corners."""
 
     actuator_force: Annotated[float, SI("N", "largest force of every actuator, in both directions")] | None = None
     actuator_bandwidth: Annotated[float, SI("rad/s", "corner frequency of every actuator's first-order lag")] | None = None
@@ -57,10 +61,10 @@ class LimitsSection(StopSection):
 
 @dataclass(frozen=True)
 class Limits(LimitsSection):
-    """Limits of the hardware. None means: no such limit.
+    """Limits of the hardware. None means that a limit does not exist.
 
     Attributes:
-        places: names of axles and corners with other stops, each with the keys of its own.
+        places: names of axles and corners with different bump stops, each with its section.
     """
 
     public_name = "limits, such as vehicle.limits"
@@ -69,7 +73,7 @@ class Limits(LimitsSection):
 
     @property
     def stopped(self) -> bool:
-        """True if any key of bump stops is given."""
+        """True if the vehicle file gives any key of bump stops."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "BumpAndRebound | None":
@@ -77,13 +81,13 @@ class Limits(LimitsSection):
         return FEATURES.load("stops").stops_at({"": self, **dict(self.places)}, corner) if self.stopped else None
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, BumpAndRebound]":
-        """Returns the stops in bump and rebound of a vehicle's suspensions, by deflection, without those that have no stops."""
+        """Returns the bump and rebound stops of a vehicle by deflection. Suspensions without stops are omitted."""
         by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
         return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 
     @property
     def written(self) -> dict[str, str]:
-        """The given limits as in a vehicle file, by key; values of one side by `key.side`."""
+        """The given limits as text, by key, as in a vehicle file. A value for one side has the key `key.side`."""
         given = {name: value for name, value in vars(self).items() if name != "places"}
         given |= {f"{place}.{key}": getattr(one, key) for place, one in self.places for key in STOP_KEYS}
         flat = dict[str, Any]()
@@ -94,8 +98,9 @@ class Limits(LimitsSection):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The limits as a section that `read_limits` reads; None for limits that are not given. `limit` and `force_rate` are then
-        left out.
+        """The limits as a section that `read_limits` accepts. Limits that are not given are None.
+
+        `limit`, `force_rate` and the stop table are omitted if they are not given.
         """
         limits = asdict(self)
         places = {name: {key: one for key, one in place.items() if one is not None} for name, place in limits.pop("places")}
@@ -104,25 +109,25 @@ class Limits(LimitsSection):
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
-        """The keys that limit actuators."""
+        """The keys of `[limits]` that are given and limit actuators."""
         keys = ("actuator_force", "actuator_bandwidth", "force_rate", "limit")
         return tuple(name for name in keys if getattr(self, name) is not None)
 
     @property
     def limits_commands(self) -> bool:
-        """True if commands are limited before the lag, as they always are under a rate limit."""
+        """True if commands are limited before the lag. A rate limit always implies this."""
         return self.actuator_force is not None and (self.limit == "command" or self.force_rate is not None)
 
     @property
     def largest(self) -> tuple[float, float]:
-        """The largest command before the lag and the largest force behind the lag [N], infinite without a limit."""
+        """The largest command before the lag and the largest force after the lag [N]; infinite without a limit."""
         if self.actuator_force is None:
             return math.inf, math.inf
         return self.actuator_force if self.limits_commands else MOST_ASKED, self.actuator_force
 
     @property
     def without_actuators(self) -> "Limits":
-        """The limits of the suspensions alone."""
+        """The limits of the suspensions only."""
         return replace(self, actuator_force=None, actuator_bandwidth=None, force_rate=None, limit=None)
 
     def without(self, part: str) -> "Limits":
@@ -132,7 +137,7 @@ class Limits(LimitsSection):
         return replace(self, actuator_bandwidth=None) if part == "lag" else self
 
     def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
-        """Describes the limits on a vehicle with these suspensions, one phrase each."""
+        """Describes the limits of a vehicle with these suspensions, one phrase per limit."""
         phrases = []
         if self.stopped:
             phrases += FEATURES.load("stops").stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
@@ -147,25 +152,25 @@ class Limits(LimitsSection):
 
 
 def _text(value: Any) -> str:
-    """Returns a value of `[limits]` as in a vehicle file."""
+    """Returns a value of `[limits]` as text, as in a vehicle file."""
     if isinstance(value, tuple):
         return f"[{', '.join(f'{k:g}' for k in value)}]"
     return f"{value:g}" if isinstance(value, float | int) else str(value)
 
 
 def samples(count: float) -> str:
-    """Returns a number of samples as text, singular if the printed number is 1."""
+    """Returns a number of samples as text, in the singular if the printed number is 1."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 
 
 def delay_text(delay: float) -> str:
-    """Returns the delay of forces [samples] as text."""
+    """Returns the delay of the forces [samples] as text."""
     return f"{samples(delay)} late"
 
 
 def _delay(value: Any, context: Mapping[str, Any]) -> float:
-    """Returns a delay in samples of the controller, as an int if it is an integer."""
+    """Returns a delay in controller samples, as an int if the number is an integer."""
     if not is_finite(value) or not 0 <= value <= MOST_DELAY:
         raise InputError(f"{HERE} = {short_repr(value)} is not allowed; give a number from 0 to {MOST_DELAY}")
     return int(value) if value == int(value) else value
@@ -173,28 +178,33 @@ def _delay(value: Any, context: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CommandLimiter:
-    """Limiter of the commands of force actuators with a rate limit, for N runs. Other runs pass unchanged.
+    """Limiter of the commands of force actuators with a rate limit, for N runs. It does not change other runs.
 
     Attributes:
-        largest: largest command [N], shape (N, 1), or infinity.
-        change: largest change of a command from sample to sample [N], shape (N, 1), or infinity.
+        largest: largest command [N], shape (N, 1); infinity without a limit.
+        change: largest change of a command between two samples [N], shape (N, 1); infinity without a limit.
     """
 
     largest: Array
     change: Array
 
     def __call__(self, requested: Array, last: Array) -> Array:
-        """Returns the commands of a sample for requested forces and the last commands [N], shape (N, m) each."""
+        """Returns the commands of a sample.
+
+        Args:
+            requested: requested forces [N], shape (N, m).
+            last: commands of the previous sample [N], shape (N, m).
+        """
         clipped = np.minimum(np.maximum(requested, -self.largest), self.largest)
         return np.minimum(np.maximum(clipped, last - self.change), last + self.change)
 
 
 def command_limiter(vehicles: Sequence[Any], timestep: float) -> CommandLimiter | None:
-    """Returns the limiter of N vehicles' commands; None if none has a rate limit.
+    """Returns the limiter for the commands of N vehicles; None if none of the vehicles has a rate limit.
 
     Args:
-        vehicles: vehicles without semi-active dampers, if any has a rate limit.
-        timestep: sample period of controllers without one [s].
+        vehicles: the vehicles. If any of them has a rate limit, none may have semi-active dampers.
+        timestep: sample period of controllers that do not define one [s].
     """
     if all(vehicle.limits.force_rate is None for vehicle in vehicles):
         return None
@@ -222,7 +232,7 @@ class Implementation(Section):
 
     @property
     def ideal(self) -> bool:
-        """True if the controller acts at every timestep, without delay, on exact signals."""
+        """True if the controller acts at every timestep, without delay, on exact measurements."""
         return self.undelayed and not self.has_measurement_noise
 
     @property
@@ -232,40 +242,40 @@ class Implementation(Section):
 
     @property
     def pending_forces(self) -> int:
-        """Largest number of computed forces that do not act yet when the next one is computed."""
+        """Largest number of computed forces that are still waiting to act when the next force is computed."""
         return math.ceil(self.delay)
 
     @property
     def hold_intervals(self) -> tuple[tuple[float, int], ...]:
-        """Parts of a sample period with one force each: its share of the period, and the delay of its force [samples]."""
+        """Intervals of constant force within a sample period: the length as a share of the period, and the delay [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
 
     @property
     def has_measurement_noise(self) -> bool:
-        """True if the controller measures with noise or quantisation."""
+        """True if the measurements of the controller have noise or quantisation."""
         return bool(self.noise_text)
 
     @property
     def noise_text(self) -> str:
-        """Names of the measurement errors: noise, quantisation or both; empty without any."""
+        """Types of measurement errors as text: noise, quantisation or both; empty for exact measurements."""
         kinds = {"noise": self.noise, "quantisation": self.quantisation}
         return " and ".join(name for name, values in kinds.items() if any(values.values()))
 
     @property
     def without_noise(self) -> "Implementation":
-        """The implementation without noise and quantisation: its linear part, which has a frequency response."""
+        """The implementation without noise and quantisation. It is linear, so it has a frequency response."""
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """Returns the implementation with noise and resolution multiplied, as all signals are."""
+        """Returns the implementation after all signals are multiplied by a factor, as are noise and resolution."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """Description of the implementation, one phrase each."""
+        """Description of the implementation, one phrase per property."""
         phrases = []
         if self.sample_period is not None:
             phrases.append(f"a sample every {1e3 * self.sample_period:g} ms")
@@ -278,6 +288,10 @@ class Implementation(Section):
 
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
     """Reads `[limits]`.
+
+    Args:
+        section: the section `[limits]`.
+        suspensions: suspensions of the vehicle.
 
     Raises:
         InputError: a key or section is unknown, a value is not allowed, or only one of stroke and stiffness is given.
@@ -294,7 +308,7 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
 
 @dataclass(frozen=True)
 class ImplementationSection(Implementation):
-    """`[implementation]` of a vehicle file."""
+    """Section `[implementation]` of a vehicle file."""
 
     sampled: Annotated[bool, Flag("design for the sampled-data loop, unless a controller's section sets another value")] = False
 
@@ -304,7 +318,7 @@ class ImplementationSection(Implementation):
 
     @classmethod
     def prepared(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns the section with a delay in samples instead of a time."""
+        """Returns the section with the delay in samples, if the file gives the delay as a time."""
         delay, period = given.get("delay"), given.get("sample_period")
         if isinstance(delay, str) and (count := re.fullmatch(r"\s*(\d+\.?\d*) *samples?\s*", delay)):
             return {**given, "delay": float(count[1])}
@@ -321,12 +335,12 @@ class ImplementationSection(Implementation):
 
     @property
     def implementation(self) -> Implementation:
-        """The implementation that it describes."""
+        """The implementation that the section describes."""
         return Implementation(*(getattr(self, one.name) for one in fields(Implementation)))
 
 
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:
-    """Returns the number of timesteps that the controller holds its force.
+    """Returns the number of timesteps for which the controller holds its force.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep.
@@ -344,16 +358,18 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def hold_intervals(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """Returns the parts of a sample period with one force each: its timesteps, and the delay of its force [samples]."""
+    """Returns the intervals of constant force within a sample period: the length in timesteps, and the delay [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 
 
 def check_period(name: str, period: float | None, implementation: Implementation) -> None:
-    """Checks that a law with its own sample period is implemented with it.
+    """Checks that a law with its own sample period is implemented with this period.
 
     Args:
-        period: sample period of the law [s]; None for a law without one.
+        name: name of the controller, for the message.
+        period: sample period of the law [s]; None for a law without a sample period.
+        implementation: implementation of the vehicle.
 
     Raises:
         InputError: the periods differ.

@@ -1,7 +1,8 @@
-"""MjModel of a vehicle, by MjSpec and the MJCF of its kind; and the test of its linearity.
+"""MuJoCo model of a vehicle, built by MjSpec from the MJCF of its type; also a test whether the model is linear.
 
-A quarter-car goes up and down: between its limits it is linear for any motion. A body that pitches or rolls is not, nor is a
-spring that does not pull along a joint. The compiled model itself is tested, so that the answer holds for any kind.
+A quarter-car moves only vertically, so it is linear for motions of any size within its limits. A body that pitches or rolls is
+nonlinear, and so is a spring that does not act along a joint. The test uses the compiled model, so it works for any vehicle
+type.
 """
 
 import contextlib
@@ -28,19 +29,23 @@ if TYPE_CHECKING:
     from models.parts.part import SuspensionPart
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's bindings carry no type stubs.
+# MuJoCo's Python bindings do not have type stubs.
 
 
 GIVE = "give the MuJoCo model of the vehicle type"
-FITTED_PREFIX = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
-SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
-MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
+# Prefix of actuators that a vehicle file adds to the model; they follow the actuators of the MJCF, which are the inputs
+FITTED_PREFIX = "fitted_"
+SAME = 1e-9  # relative rounding error of a parameter that the code of a vehicle type has written
+MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors that MuJoCo raises for an invalid model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: its warnings are found and reported otherwise. All threads share one handler."""
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT. Other checks detect and report the same problems.
+
+    All threads share one warning handler.
+    """
     with _quiet_lock:
         _quiet_users[0] += 1
         mujoco.set_mju_user_warning(lambda text: None)
@@ -54,13 +59,14 @@ def quiet() -> Iterator[None]:
 
 
 def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
-    """Returns the editable model of a vehicle.
+    """Returns the editable MuJoCo model of a vehicle.
 
     Args:
+        vehicle: the vehicle.
         timestep: integration step [s].
 
     Raises:
-        InputError: the kind's MJCF cannot be read, or is no MJCF.
+        InputError: the MJCF of the vehicle type cannot be read or is invalid.
     """
     read_text(vehicle.kind.mjcf, "MJCF", GIVE)
     spec = _read_model(vehicle)
@@ -79,7 +85,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
 
 
 def _read_model(vehicle: Vehicle) -> mujoco.MjSpec:
-    """Reads the MJCF of a kind, and drops the sensors of signals that its vehicles do not have."""
+    """Reads the MJCF of a vehicle type, and deletes the sensors of signals that its vehicles do not have."""
     kind, unnamed = vehicle.kind, frozenset(vehicle.kind.unnamed)
     if kind.folder == HERE:
         return _read_shipped(kind.mjcf, unnamed).copy()
@@ -98,7 +104,7 @@ def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
     return spec
 
 
-_read_shipped = functools.lru_cache(maxsize=16)(_read)  # nobody rewrites what ships
+_read_shipped = functools.lru_cache(maxsize=16)(_read)  # files of built-in vehicle types do not change
 
 
 def _compile_model(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -121,7 +127,7 @@ def _error_text(error: Exception) -> str:
 
 
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes largest force and lag into every actuator."""
+    """Writes the largest force and the lag of `[limits]` into every actuator."""
     limits = vehicle.limits
     for actuator in spec.actuators:
         if actuator.name.startswith(FITTED_PREFIX):
@@ -130,17 +136,18 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
             actuator.forcelimited = True
             command, force = limits.largest
             actuator.forcerange = [-force, force]
-            actuator.ctrlrange = [-command, command]  # beyond 1e10 MuJoCo would replace the force by 0
+            actuator.ctrlrange = [-command, command]  # above 1e10, MuJoCo would replace the force by 0
         if limits.actuator_bandwidth is not None:
-            # Integrated with the rest by RK4. `filterexact` is exact by itself, but reaches RK4's stages half a step late.
+            # RK4 integrates this filter together with the other states. `filterexact` alone would be exact, but RK4's
+            # intermediate stages would receive its output half a step late.
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
             actuator.dynprm[0] = 1 / limits.actuator_bandwidth
 
 
 def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Writes the parts of suspensions beyond their lines, and sensors of suspension velocities that are signals.
+    """Writes nonlinear parts of suspensions, and sensors for those suspension velocities that are signals.
 
-    A part without a form native to MuJoCo has a motor on its tendon.
+    A part that MuJoCo cannot represent with its own elements gets a motor on the tendon of its suspension.
     """
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
     new, parts = names - sensed, [one for one in vehicle.parts if one.acts]
@@ -172,7 +179,7 @@ def _write_parts(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
 
 def _check_line(tendon: Any, one: "SuspensionPart") -> None:
-    """Refuses a tendon with another stiffness or damping than the parameter that a part replaces."""
+    """Refuses a tendon whose stiffness or damping differs from the parameter that a part replaces."""
     if not one.parameter:
         return
     line = one.part.line
@@ -185,14 +192,17 @@ def _check_line(tendon: Any, one: "SuspensionPart") -> None:
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:
-    """Returns the compiled model of a vehicle. At qpos = 0 it is at rest: qacc is 0 to rounding.
+    """Returns the compiled MuJoCo model of a vehicle.
+
+    At qpos = 0, the model is in equilibrium: qacc is 0 except for rounding errors.
 
     Args:
+        vehicle: the vehicle.
         timestep: integration step [s].
-        drawn: False drops visual parts; a step then has the same numbers and takes a twentieth less.
+        drawn: False to omit visual parts. A step then gives the same numbers, but takes about 5 % less time.
 
     Raises:
-        InputError: an error of `build_spec`, or a model that does not match the equations.
+        InputError: any error of `build_spec`; or the model does not match the equations of motion.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -203,7 +213,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
 
 
 def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model that lacks a name of its equations."""
+    """Refuses a model without a sensor, body or other name that the equations of motion use."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.sensed_signals for part in kind.combined.get(name, {name: 1.0})]
@@ -222,13 +232,13 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Returns the names of a model's actuators without the fitted ones, which come last."""
+    """Returns the names of a model's actuators, except those that a vehicle file has added."""
     names = [model.actuator(i).name for i in range(model.nu)]
     return tuple(name for name in names if not name.startswith(FITTED_PREFIX))
 
 
 def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model that cannot be driven from qpos = 0, or read out."""
+    """Refuses a model that cannot start at qpos = 0, or whose sensors cannot be evaluated."""
     where = f"MJCF {vehicle.kind.mjcf}"
     actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
@@ -258,7 +268,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model whose tyres cannot be fully compressed: past its hub a road makes the tyre longer again."""
+    """Refuses a model whose tyres cannot be fully compressed. A road above the hub would make the tyre longer again."""
     kind, data = vehicle.kind, mujoco.MjData(model)
 
     def read(tyre: str) -> float:
@@ -283,19 +293,23 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
-    """Returns the exact MJCF that `build_model` compiles, for the logs."""
+    """Returns the MJCF of the model that `build_model` compiles, with exact numbers, for the logs."""
     spec = build_spec(vehicle, timestep)
-    spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
+    spec.compiler.savecompiled = False  # compiled values would be rounded to six digits
     return spec.to_xml()
 
 
 def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Returns the degree of freedom of each of the kind's loads."""
+    """Returns the degree of freedom on which each load of the vehicle type acts."""
     return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
 
 
 def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Returns the wheels whose tyres damp, and the actuator of each, controlled by the road's velocity."""
+    """Returns the wheels whose tyres have damping, and their actuators. The road velocity controls these actuators.
+
+    Returns:
+        Numbers of the wheels, and number of the actuator of each.
+    """
     if not vehicle.linear_model.tyres_damp:
         return [], []
     actuators = {model.actuator(i).name: i for i in range(model.nu)}
@@ -305,12 +319,12 @@ def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], li
 
 
 def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Returns the mocap index of every wheel's road."""
+    """Returns the mocap index of the road body under every wheel."""
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
-LARGEST_MOVE = 1e-2  # m, rad; less than a hub is above its road, and the cosine of a hinge's angle changes by 5e-5
-CHANGE = 1e-9  # of the largest entry of a matrix, or of a reading; the relative effect of rounding is 1e-15
+LARGEST_MOVE = 1e-2  # m, rad; below the hub height. This angle changes the cosine by 5e-5
+CHANGE = 1e-9  # relative to the largest entry of a matrix or to the sensor value; the relative rounding error is 1e-15
 TRIALS = 3
 
 
@@ -318,8 +332,9 @@ TRIALS = 3
 def has_geometry(vehicle: Vehicle) -> bool:
     """Returns True if the model is linear for small motions only, whatever its parameters.
 
-    Masses, weights or levers of tendons and actuators then change with the position, a spring or damper is a polynomial, or a
-    sensor does not read a sum of positions, velocities and accelerations, such as the velocity of a point of a turning body.
+    The model is nonlinear for one of three reasons. Masses, weights or lever arms of tendons and actuators may change with the
+    position. A spring or damper may be a polynomial. A sensor may measure more than a sum of positions, velocities and
+    accelerations, for example the velocity of a point on a rotating body.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)
@@ -342,9 +357,10 @@ def has_geometry(vehicle: Vehicle) -> bool:
 
 
 def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
-    """Returns True if a sensor of an output signal reads no sum of positions, velocities and accelerations.
+    """Returns True if a sensor of an output signal does not measure a sum of positions, velocities and accelerations.
 
-    Half of a motion then does not change its reading by half. The motion is given, whatever forces it takes.
+    For such a sensor, half of a motion does not give half of the measurement. The test prescribes the motion and ignores the
+    forces that it would need.
     """
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
     outputs, combined = vehicle.sensed_signals, vehicle.kind.combined

@@ -1,6 +1,6 @@
 """Names of controllers, roads and loads in vehicle files and commands, as in `bump + brake:g=0.5`.
 
-Help pages use this module, and so it imports nothing that builds roads.
+Help pages use this module. It therefore imports nothing that builds roads.
 """
 
 import re
@@ -10,17 +10,17 @@ from pathlib import Path
 
 from models.common.errors import InputError, short_repr
 
-WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that runs can leave out
-PASSIVE = "passive"  # the controller without force, of every vehicle
-COPY = "_printed"  # ends the name of a controller that repeats another one with the numbers of a paper
-LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
+WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that a run can omit
+PASSIVE = "passive"  # name of the controller without force, which every vehicle has
+COPY = "_printed"  # suffix of a controller that repeats another controller with the published gain of a paper
+LONGEST_NAME = 60  # bytes; file names can contain the names of three controllers
 
 
 def check_name(where: str, name: str, taken: Collection[str]) -> None:
     """Checks the name of a controller.
 
     Raises:
-        InputError: the name is taken, too long, or has other characters.
+        InputError: the name is already used, is too long, or contains characters that are not allowed.
     """
     if name in taken or name == "all":
         raise InputError(f"{where} the name {name!r} is reserved, as are passive, state and all; rename the controller")
@@ -32,14 +32,14 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Returns True for a name of allowed characters; vowel signs, as in Hindi and Thai, are marks on letters."""
+    """Returns True if a name has only allowed characters. Vowel signs, as in Hindi and Thai, count as marks on letters."""
     kinds = ["L" if letter.isalnum() else "-" if letter in "_-" else unicodedata.category(letter) for letter in name]
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
 ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "sine", "rig")
-CLASSES = "ABCDEFGH"  # of ISO 8608
-BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
+CLASSES = "ABCDEFGH"  # road classes of ISO 8608
+BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: bump (62) of the paper
 ROAD_SYNTAX = (
     f"give one of {', '.join(ROAD_KINDS)}, with numbers as :NAME=VALUE, such as pothole:depth=0.03:length=2, or a file (.csv, "
     ".txt, .xlsx, .mat, .erd, .rdf or .crg), such as road.csv:height_unit=mm, or the drive file of a rig, such as "
@@ -51,7 +51,10 @@ RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IG
 
 
 def named_file(text: str) -> tuple[str, str] | None:
-    """Returns the file in a road's text, and the type of its road's description; None if the text names no file."""
+    """Returns the file in the text of a road, and the type of the road description: "rig" or "profile".
+
+    Returns None if the text does not contain a file.
+    """
     if rig := RIG.fullmatch(text):
         return rig["path"], "rig"
     profile = FILE.fullmatch(text)
@@ -59,7 +62,7 @@ def named_file(text: str) -> tuple[str, str] | None:
 
 
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
-PLUS = " + "  # between the loads of a description
+PLUS = " + "  # separates the loads in a description
 LOAD_SYNTAX = (
     f"give one of {', '.join(LOAD_KINDS)}, with numbers as :NAME=VALUE, such as brake:g=0.5:start=1:rise=0.2:hold=2 or "
     "payload:mass=100:x=-1.2, or a .csv file"
@@ -68,17 +71,17 @@ LOAD_SEPARATOR = rf"\s*\+\s*(?=(?:{'|'.join(LOAD_KINDS)})(?:[:+]|\s*$))"
 FILE_SEPARATOR = r"\s+\+\s+(?=\S[^+]*\.csv\s*(?:$|\+))"
 PART_SEPARATOR = re.compile(
     rf"{LOAD_SEPARATOR}|{FILE_SEPARATOR}", re.IGNORECASE
-)  # between a road and its loads, and between these
+)  # between a road and its loads, and between two loads
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
-    """Splits a text into its road and its loads: `bump + brake:g=0.5 + push.csv`."""
+    """Splits a text such as `bump + brake:g=0.5 + push.csv` into its road and its loads."""
     road, *loads = PART_SEPARATOR.split(text)
     return road, loads
 
 
 def named_files(texts: Iterable[str | None]) -> list[Path]:
-    """Returns the files in the texts of roads and loads."""
+    """Returns the files that the texts of roads and loads refer to."""
     from models.common.files import path_from
 
     parts = (part.strip() for text in texts if text for road, loads in (split_off(text),) for part in (road, *loads))
@@ -86,32 +89,32 @@ def named_files(texts: Iterable[str | None]) -> list[Path]:
 
 
 def is_load_file(text: str) -> bool:
-    """Returns True if a load's text names a file."""
+    """Returns True if the text of a load refers to a file."""
     return text.strip().lower().endswith(".csv")
 
 
 def run_without(names: Iterable[str], part: str) -> list[str]:
-    """Returns the controllers, out of some, whose runs without a part differ: only limits matter to the passive vehicle."""
+    """Returns the controllers whose runs change if a part is omitted. The passive vehicle changes only without limits."""
     return [name for name in names if name != PASSIVE or part == "limits"]
 
 
 def variant(part: str) -> str:
-    """Returns the end of the name, in tables, of a controller's run without a part; empty for the implemented loop."""
+    """Returns the suffix, in tables, for a controller's run without a part; empty for the implemented loop."""
     return f", no {part}" if part else ""
 
 
 def logged_variant(part: str) -> str:
-    """Returns the same in a log."""
+    """Returns the suffix, in logs, for a controller's run without a part; empty for the implemented loop."""
     return f"-no_{part}" if part else ""
 
 
 def logged_part(name: str, controller: str) -> str:
-    """Returns the part that a logged run omits, from its name; empty for the implemented loop."""
+    """Returns the part that a logged run omits, read from the name of the run; empty for the implemented loop."""
     part = name.removeprefix(f"{controller}-no_") if name != controller else ""
     return part if part in WITHOUT else ""
 
 
 def without_copies(names: Iterable[str]) -> list[str]:
-    """Returns names of controllers without printed copies of others, as `I_printed` is of `I`."""
+    """Returns the names of controllers without copies that have a published gain, such as `I_printed` for `I`."""
     every = list(names)
     return [name for name in every if name.removesuffix(COPY) not in every or not name.endswith(COPY)]

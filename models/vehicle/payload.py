@@ -1,12 +1,14 @@
-"""`[payload]` of a vehicle file: point masses on the body, with their inertia.
+"""`[payload]` of a vehicle file: point masses on the body, including their inertia.
 
-With the body's mass M and inertias I about its centre of mass, a mass m at (x, z) from there (ISO 8855: x forward, z up) makes
+The body has the mass M and the moments of inertia I_pitch and I_roll about its centre of mass. A point mass m at (x, z)
+relative to this centre (ISO 8855: x forward, z up) changes them to
 
     M' = M + m,    I_pitch' = I_pitch + mu (x^2 + z^2),    I_roll' = I_roll + mu z^2,    mu = M m / (M + m),
 
-about the common centre of mass, which lies at m / (M + m) (x, z). Springs are linear, so the laden car has the same equations
-with these parameters. Its motion is about its own rest, where every suspension is compressed by the payload's weight. A motion
-ratio over travel is then about that rest.
+where I_pitch' and I_roll' are about the common centre of mass, which lies at m / (M + m) (x, z). Because the springs are
+linear, the laden car has the same equations of motion with these parameters. The equations describe its motion about the laden
+equilibrium, in which the weight of the payload compresses the suspensions. A motion ratio that depends on travel is shifted to
+the laden equilibrium.
 """
 
 import math
@@ -34,7 +36,7 @@ TURNS = (PITCH_LOAD.name, ROLL_LOAD.name)
 
 @dataclass(frozen=True)
 class PayloadSection(Section):
-    """A point mass on the body."""
+    """Section of a point mass on the body."""
 
     hints: ClassVar[Mapping[str, str]] = {
         "y": "is not allowed, as the mass must be on the centre line; use --load payload:y=... for a weight there"
@@ -48,13 +50,21 @@ class PayloadSection(Section):
 def apply_payload(
     section: Mapping[str, Any], kind: VehicleKind, parameters: dict[str, float], limits: Limits, curves: Mapping[str, ForceCurve]
 ) -> tuple[dict[str, float], Limits, VehicleKind]:
-    """Reads `[payload]`, or its sections of several: returns parameters, limits and type of the vehicle with these point masses.
+    """Reads `[payload]` and returns parameters, limits and type of the vehicle with the point masses.
 
-    The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
-    added to the rebound strokes.
+    The section describes one point mass, or contains a section for each of several point masses. The payload changes mass,
+    inertia and centre of mass of the body. It also compresses the springs, which shortens the bump strokes and lengthens the
+    rebound strokes.
+
+    Args:
+        section: the section `[payload]`.
+        kind: vehicle type.
+        parameters: parameters of the unladen vehicle [SI], by name.
+        limits: limits of the unladen vehicle.
+        curves: characteristics by parameter.
 
     Raises:
-        InputError: a key or value is not allowed, or the vehicle cannot carry it so.
+        InputError: a key or value is not allowed, or the vehicle cannot carry this payload.
     """
     several = any(isinstance(one, Mapping) for one in section.values())
     if several and (own := [key for key, one in section.items() if not isinstance(one, Mapping)]):
@@ -94,7 +104,7 @@ def apply_payload(
             heavier[name] += moved
     turning = [part for part in kind.suspensions if part.ratio in kind.ratios]
     before, after = (kind.static_loads(one) if turning else {} for one in (parameters, heavier))
-    sunk = dict[str, float]()  # of the springs at these, by deflection [m]
+    sunk = dict[str, float]()  # compression of springs with a motion ratio over travel, by deflection [m]
     for part in turning:
         table, name = kind.ratios[part.ratio], part.deflection
         rest = table.rest_at_load(parameters.get(part.stiffness, 0.0), before[name], after[name])
@@ -115,7 +125,16 @@ def _limits_at_laden_rest(
     parameters: Mapping[str, float],
     known: Mapping[str, float],
 ) -> Limits:
-    """Returns the limits with strokes from the laden rest, where some springs are known to be stretched so far [m]."""
+    """Returns the limits with strokes relative to the laden equilibrium.
+
+    Args:
+        kind: vehicle type.
+        model: linear model of the unladen vehicle.
+        load: loads of the payload [N, N m], by name.
+        limits: limits of the unladen vehicle.
+        parameters: parameters of the vehicle [SI], by name.
+        known: deflections of the springs that are already known [m], by name; the linear model gives the others.
+    """
     stops = limits.stops(kind.suspensions)
     if not stops:
         return limits

@@ -1,4 +1,7 @@
-"""`[performance]` of a vehicle file: the rows of the controlled output z (34), each a weighted signal or sum of signals."""
+"""`[performance]` of a vehicle file: the rows of the controlled output z (34).
+
+Each row is a weighted signal or sum of signals.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,19 +14,19 @@ from models.common.schema import HERE, SI, ReadBy, read
 from models.kinds.kind import is_number
 from models.laws.filter import Filter, FilterSection
 
-ROAD = "road"  # the filter from the disturbance w to the road's velocity
-SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
+ROAD = "road"  # name of the filter from the disturbance w to the road velocity
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # ratio of two weights; beyond this range, rounding errors dominate
 
 
 @dataclass(frozen=True)
 class WeightedSum:
-    """Row of z: a weight times a sum of signals, through a filter.
+    """Row of z: a weighted sum of signals, optionally with a filter.
 
     Attributes:
         name: name of the sum, or of its only signal.
         weight: weight of the sum, above 0.
         terms: factor of each signal.
-        filter: filter from the weighted sum to z; None for no filter.
+        filter: filter from the weighted sum to z; None for a row without a filter.
     """
 
     public_name = "a weighted sum, such as one of vehicle.sums"
@@ -35,15 +38,15 @@ class WeightedSum:
 
     @property
     def text(self) -> str:
-        """The sum in words."""
+        """The sum as a formula with signal names."""
         return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
 
 
 class Weight(SI):
-    """0, or a number in the range of weights."""
+    """A weight: 0, or a number in the allowed range of weights."""
 
     def number(self, what: str, value: Any) -> float:
-        """Returns the weight; `what` names it in the message."""
+        """Returns the weight. `what` is the name of the weight in error messages."""
         least = 0.0 if is_finite(value) and value == 0 else SMALLEST_WEIGHT
         more = ', or 0, or a weight with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
         return SI(self.unit, "", least, self.high, more).number(what, value)
@@ -54,7 +57,7 @@ WEIGHT = Weight("", "weight in the performance output, per SI unit of the signal
 
 
 def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
-    """Returns the factors of signals in a sum. The context has `outputs`, the names of the signals."""
+    """Returns the factors of the signals in a sum. `context["outputs"]` contains the names of the output signals."""
     outputs = context["outputs"]
     if not isinstance(value, Mapping) or not value or not all(is_number(one) and one for one in value.values()):
         raise InputError(
@@ -68,7 +71,7 @@ def _terms(value: Any, context: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class WeightSection(FilterSection):
-    """A signal or a sum of signals in `[performance]`. A number is its weight."""
+    """Section of a signal or of a sum of signals in `[performance]`. A number instead of a section is the weight."""
 
     integrates: ClassVar[bool] = True
 
@@ -77,16 +80,17 @@ class WeightSection(FilterSection):
 
     @cached_property
     def shape(self) -> Filter | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The filter; None for a sum of constant weight."""
+        """The filter; None for a sum with a constant weight."""
         unshaped = self.filter is self.numerator is self.denominator is None
         return None if unshaped and self.sum is not None else super().shape
 
 
 def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, Any]:
-    """Returns the attributes `performance`, `filters`, `sums` and `road_filter` of a `Vehicle`, from `[performance]`.
+    """Reads `[performance]` and returns the attributes `performance`, `filters`, `sums` and `road_filter` of a `Vehicle`.
 
     Args:
-        outputs: the signals that can be weighted.
+        section: the section `[performance]`.
+        outputs: names of the signals that can be weighted.
 
     Raises:
         InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
@@ -113,7 +117,7 @@ def read_performance(section: Mapping[str, Any], outputs: Sequence[str]) -> dict
 
 
 def check_weights(weights: Mapping[str, float], sums: Sequence[WeightedSum], outputs: Sequence[str]) -> None:
-    """Raises an InputError if a weighted signal is unknown, or no weight is above 0."""
+    """Raises InputError if a weighted signal is unknown, or if no weight is above 0."""
     for name in weights:
         if name not in outputs:
             raise InputError(

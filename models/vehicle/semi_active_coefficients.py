@@ -1,4 +1,4 @@
-"""Coefficients of semi-active laws for the vehicles that they run on."""
+"""Coefficients of semi-active control laws for given vehicles."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
-    """Returns the coefficients of N laws of one name for N vehicles of one kind.
+    """Returns the coefficients of N semi-active laws with one name, for N vehicles of one type.
 
-    A damper between body and sky, or wheel and ground, has c_max at the wheel by default; a damper of a mode of the body has the
-    sky damper's coefficient by default.
+    By default, a damper between body and sky, or between wheel and ground, has the coefficient c_max at the wheel. By default,
+    a damper of a body mode has the coefficient of the sky damper.
     """
     dampers = [[damper.damper for damper in vehicle.parts.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
@@ -32,7 +32,7 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
         return numbers
 
     squares = np.array([[damper.ratio for damper in vehicle.parts.adjustable] for vehicle in vehicles]) ** 2
-    sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)  # on body and wheel
+    sky, ground = of("sky_damping", c_max * squares), of("ground_damping", c_max * squares)  # at the body and at the wheel
     moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()
     for b, key in enumerate(key for key, mode in MODAL.items() if mode in laws[0].modes):
@@ -45,13 +45,13 @@ def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> La
 
 
 def _stiffness(vehicle: Vehicle) -> list[float]:
-    """Returns the stiffness of the suspensions with an adjustable damper [N/m]; 0 if the kind names no parameter."""
+    """Returns the stiffness of each suspension with a semi-active damper [N/m]; 0 if the vehicle type has no such parameter."""
     parameters = {one.force: one.stiffness for one in vehicle.kind.suspensions}
     return [vehicle.parameters.get(parameters[one.force], 0.0) for one in vehicle.parts.adjustable]
 
 
 def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
-    """Returns the factors from the velocities of the body's modes to those at the suspensions, shape (b, m)."""
+    """Returns the factors from the velocities of b body modes to the velocities at m suspensions, shape (b, m)."""
     if not law.modes:
         return np.zeros((0, len(law.endings)))
     model = vehicle.linear_model
@@ -60,12 +60,13 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
 
 
 def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array, which: Array | slice) -> LawCoefficients:
-    """Returns the coefficients with the limits of curved dampers at velocities.
+    """Returns the coefficients for given velocities, with the limits of nonlinear dampers at these velocities.
 
     Args:
+        numbers: coefficients for linear dampers.
         of: ranges of the dampers of N vehicles.
         closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
-        which: selected vehicles of the N.
+        which: selected vehicles out of N.
     """
     if not of.curved:
         return numbers

@@ -1,4 +1,4 @@
-"""A vehicle file as a sketch: what its kind, its parameters, its limits and its computer are, drawn and in words."""
+"""Sketch of a vehicle file: a drawing, and text about the vehicle type, parameters, limits and computer."""
 
 import re
 from collections.abc import Iterator
@@ -12,25 +12,24 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 
 AXLES = ("_front", "_rear")
-PAIRS = (*AXLES, "_left", "_right")  # endings of parameters that have a row in common
-FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # of a parameter's meaning, if that is a symbol
+PAIRS = (*AXLES, "_left", "_right")  # suffixes of parameters that share a row
+FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # the symbol at the beginning of a parameter's meaning, if present
 
 
 def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
-    """Returns the sketch of a vehicle of any kind: from the side and, if it has two tracks, from behind.
+    """Returns the sketch of a vehicle of any type, seen from the side and, if it has two tracks, from behind.
 
-    A vehicle with all wheels in one cross-section is drawn only from behind.
-
-    Kinds without the usual names of parameters are drawn by their wheels and suspensions, with the symbols k, c and m.
+    A vehicle with all wheels in one cross-section is drawn only from behind. Some vehicle types do not use the usual names of
+    parameters. They are drawn from their wheels and suspensions, with the symbols k, c and m.
 
     Args:
         vehicle: the vehicle.
-        computer: False leaves out sensors and computer.
+        computer: False to omit the sensors and the computer.
     """
     kind, given = vehicle.kind, vehicle.parameters
     symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
     box = _box(vehicle.implementation) if computer else ()
-    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each
+    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each axle
     mass = next((symbols.setdefault(name, "m") for name in ("sprung_mass", "mass") if name in given), "")
     front, rear = (given.get(f"axle_distance{axle}", 0.0) for axle in AXLES)
     letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
@@ -53,7 +52,7 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
 
 
 def _seat(given: Parameters, place: float) -> Strut | None:
-    """Returns the seat at a place of the view [m], or None."""
+    """Returns the seat at a longitudinal position in the view [m]; None if the vehicle has no seat."""
     parts = (("spring", "k_p"), ("damper", "c_p" if given.get("seat_damping") else ""))
     return Strut(place, "", tuple(part for part in parts if part[1]), "m_p") if "seat_mass" in given else None
 
@@ -63,10 +62,10 @@ def _axle(wheel: Wheel) -> str:
 
 
 def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dict[str, str]) -> Strut:
-    """Returns a wheel and its suspension; gives symbols to parameters that have none."""
+    """Returns a wheel and its suspension, and assigns symbols to parameters without a symbol."""
     kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
     one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
-    stands = one is not None and one.deflection == wheel.tyre_deflection  # the suspension itself is on the road
+    stands = one is not None and one.deflection == wheel.tyre_deflection  # the suspension element itself touches the road
 
     def symbol(letter: str, *names: str, ending: str = ending) -> str:
         parameter = next(filter(None, (kind.of_corner(name, ending) for name in names)), "")
@@ -93,7 +92,7 @@ def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dic
 
 
 def _box(how: Implementation) -> tuple[str, ...]:
-    """Returns the computer in a few letters."""
+    """Returns short lines of text about the computer."""
     period, late, noise = how.sample_period, how.delay, how.noise_text
     lines = [f"every {1e3 * period:g} ms"] if period is not None else []
     lines += [f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} steps late"] if late else []
@@ -101,7 +100,7 @@ def _box(how: Implementation) -> tuple[str, ...]:
 
 
 def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yields a row for each parameter, of both axles or sides together."""
+    """Yields a row for each parameter. Parameters of both axles or both sides share a row."""
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:
@@ -122,7 +121,7 @@ def _number(value: float, unit: str) -> str:
 
 
 def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
-    """Yields rows on force elements, adjustable dampers, strokes and other limits, sensors and the computer."""
+    """Yields rows about force elements, semi-active dampers, strokes and other limits, sensors and the computer."""
     kinds: dict[type, str] = {section: name.replace("_", " ") for name, section in element_kinds().items()}
     for one in vehicle.elements:
         given = {key.partition(".")[2].replace("_", " "): (value, si.unit) for key, (value, si) in one.numbers.items() if value}

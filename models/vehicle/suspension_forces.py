@@ -1,4 +1,4 @@
-"""Forces of suspensions beyond the linear model, for runs side by side: the sum of their parts. Motion ratios of inputs."""
+"""Nonlinear suspension forces for simultaneous runs: the sum of the forces of all parts. Also motion ratios of inputs."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -15,25 +15,28 @@ if TYPE_CHECKING:
 
 
 class SuspensionForces:
-    """Forces that pull suspensions together at the wheels, of N vehicles of one kind, beyond those of their linear models.
+    """Suspension forces of N vehicles of one type, in addition to the forces in their linear models.
 
-    The linear model has the line of each part, and the force of each actuator at its motion ratio at rest.
+    The forces act between body and wheel and are positive if they pull both together. The linear model contains the linearised
+    force of each part, and the force of each actuator at its motion ratio in equilibrium.
 
     Attributes:
-        acts: True for each suspension that has a force beyond the linear model, shape (s,).
+        acts: True for each suspension that has a force in addition to the linear model, shape (s,).
         states: number of the parts' own states, k, in the order of `VehicleKind.of_parts`.
-        moves: True if a rate of these differs from that of the linear model.
-        inertial: True if a part has inertance beyond the linear model.
+        moves: True if the rate of an own state differs from its rate in the linear model.
+        inertial: True if a part has an inertance in addition to the linear model.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], by_motor: bool = False, whole: bool = True, contacts: bool = True) -> None:
-        """Takes N vehicles, or one for any number of runs.
+        """Prepares the forces of N vehicles, or of one vehicle for any number of runs.
 
         Args:
-            by_motor: True for parts alone that have no form native to MuJoCo.
-            contacts: False leaves out parts without effect before an end of the linear regime.
-            whole: True adds the lines of elements of `[parts]`, which are in linear models, but not in the kinds' equations.
-                Rates of states, too, are then whole, and otherwise those beyond the linear model.
+            vehicles: the N vehicles, or one vehicle.
+            by_motor: True to include only parts that MuJoCo cannot represent with its own elements.
+            contacts: False to omit parts that have no effect within the linear range, such as bump stops.
+            whole: True to add the linearised forces of the elements of `[parts]`. Linear models contain these forces, but the
+                equations of motion of the vehicle types do not. The rates of own states are then complete; otherwise they are
+                relative to the linear model.
         """
         suspensions, inputs = vehicles[0].kind.suspensions, vehicles[0].linear_model.inputs
         rows = [_forces(vehicle, by_motor, whole, contacts) for vehicle in vehicles]
@@ -60,17 +63,18 @@ class SuspensionForces:
 
     @property
     def moves(self) -> bool:
-        """See the attributes."""
+        """True if the rate of an own state of a part differs from its rate in the linear model."""
         return any(len(kept) for _, _, kept, _ in self._stacks)
 
     def __call__(self, d: Array, v: Array, inputs: Array, z: Array | None = None) -> Array:
-        """Returns the forces without those of inertial parts [N], shape (..., N, s).
+        """Returns the suspension forces without the forces of inertial parts [N], shape (..., N, s).
 
         Args:
-            d, v: deflections [m] and their rates [m/s] at the wheels, shape (..., N, s).
-            inputs: acting forces of actuators [N], and acting coefficients of adjustable dampers beyond the nominal ones
-                [N s/m], shape (..., N, m).
-            z: the parts' own states, shape (..., N, k).
+            d: suspension deflections at the wheels [m], shape (..., N, s).
+            v: rates of the deflections [m/s], shape (..., N, s).
+            inputs: actuator forces [N], and coefficients of semi-active dampers relative to the nominal ones [N s/m], shape
+                (..., N, m).
+            z: own states of the parts, shape (..., N, k).
         """
         pulls = None
         for columns, _, parts, at in self._at(d, v, inputs, z):
@@ -83,14 +87,14 @@ class SuspensionForces:
         return np.zeros(d.shape) if pulls is None else pulls
 
     def inertance(self, d: Array) -> Array:
-        """Returns the forces of inertial parts over the second derivatives of the deflections [kg], shape (..., N, s)."""
+        """Returns the forces of inertial parts divided by the second derivatives of the deflections [kg], shape (..., N, s)."""
         total = np.zeros(d.shape)
         for columns, _, _, parts in self._stacks:
             total[..., columns] += parts.inertance(d[..., columns])
         return total
 
     def rates(self, d: Array, v: Array, inputs: Array, z: Array) -> Array:
-        """Returns the rates of the parts' own states, shape (..., N, k); arguments as for the forces."""
+        """Returns the rates of the parts' own states, shape (..., N, k). Arguments are those of `__call__`."""
         rates = np.zeros(z.shape)
         for _, kept, parts, at in self._at(d, v, inputs, z) if self.states else ():
             if len(kept):
@@ -98,7 +102,7 @@ class SuspensionForces:
         return rates
 
     def _at(self, d: Array, v: Array, inputs: Array, z: Array | None) -> Iterator[tuple[Array | slice, Array, Stack, Any]]:
-        """Yields parts that are evaluated together, with their suspensions and states, and what they take."""
+        """Yields parts that are evaluated together, with their suspensions, own states and arguments of the force."""
         for columns, own, kept, parts in self._stacks:
             states = None
             if z is not None and len(kept):
@@ -107,8 +111,10 @@ class SuspensionForces:
 
 
 def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> list[tuple[int, Part, bool, int]]:
-    """Returns the parts of a vehicle with the number of their suspension, True for those with the force of their line, and the
-    number of their first state.
+    """Returns a row for each part of a vehicle.
+
+    A row contains the number of the suspension, the part, True if its linearised force is included, and the number of its
+    first own state.
     """
     forces = list[tuple[int, Part, bool, int]]()
     if not vehicle.parts:
@@ -127,14 +133,14 @@ def _forces(vehicle: Vehicle, by_motor: bool, whole: bool, contacts: bool) -> li
 
 
 class MotionRatios:
-    """Motion ratios of the inputs of N vehicles of one kind, or of one for any number of runs.
+    """Motion ratios of the inputs of N vehicles of one type, or of one vehicle for any number of runs.
 
     Attributes:
-        over_travel: names of the inputs whose ratio changes with travel.
+        over_travel: names of the inputs whose motion ratio changes with suspension travel.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle]) -> None:
-        """Takes the vehicles."""
+        """Reads the motion ratios of the vehicles."""
         first, self._tables = vehicles[0], dict[str, "list[tuple[RatioTable, Array | slice, Array]]"]()
         self._inputs, self._places = first.linear_model.inputs, {one.force: i for i, one in enumerate(first.kind.suspensions)}
         self._at_rest = {force: np.array([one.motion_ratios[force] for one in vehicles]) for force in self._inputs}
@@ -148,25 +154,28 @@ class MotionRatios:
         self.over_travel = tuple(self._tables)
 
     def of(self, force: str, deflection: Array) -> Array:
-        """Returns the ratio of an input at deflections of its suspension [m], shape (..., N)."""
+        """Returns the motion ratio of an input at given deflections of its suspension [m], shape (..., N)."""
         ratios = np.broadcast_to(self._at_rest[force], deflection.shape).copy()
         for table, runs, factor in self._tables.get(force, ()):
             ratios[..., runs] = factor * table(deflection[..., runs])
         return ratios
 
     def travel(self, force: str, deflection: Array) -> Array:
-        """Returns the travel of an actuator [m], the integral of its ratio from rest; arguments as for `of`."""
+        """Returns the travel of an actuator from equilibrium [m], the integral of its motion ratio.
+
+        Arguments are those of `of`.
+        """
         travels = self._at_rest[force] * deflection
         for table, runs, factor in self._tables.get(force, ()):
             travels[..., runs] = factor * table.travel(deflection[..., runs])
         return travels
 
     def turn(self, force: str, deflection: Array) -> Array:
-        """Returns the same ratio over that at rest, shape (..., N)."""
+        """Returns the motion ratio of an input relative to the ratio in equilibrium, shape (..., N)."""
         return self.of(force, deflection) / self._at_rest[force]
 
     def turns(self, travels: Array) -> Array:
-        """Returns the ratio of every input over that at rest, shape (..., N, m).
+        """Returns the motion ratio of every input relative to the ratio in equilibrium, shape (..., N, m).
 
         Args:
             travels: deflections of the suspensions [m], shape (..., N, s).

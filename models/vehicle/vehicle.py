@@ -1,4 +1,4 @@
-"""Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
+"""Vehicle file (TOML): vehicle type, parameters, performance weights, controllers, and other sections."""
 
 import importlib
 import re
@@ -54,20 +54,28 @@ if TYPE_CHECKING:
 
 
 def kinds(folder: Path = HERE) -> list[str]:
-    """Returns the kinds of vehicle in a folder: those with equations and an MJCF. By default, the shipped ones."""
+    """Returns the vehicle types in a folder, that is, each name with equations (`.py`) and an MJCF (`.xml`), sorted.
+
+    Args:
+        folder: the folder; by default, the folder of the built-in vehicle types.
+    """
     return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
 
 
 def shipped_vehicles() -> list[str]:
-    """Returns the names of the shipped vehicles: one of every kind, and some more."""
+    """Returns the names of the built-in vehicles, sorted: at least one of each built-in vehicle type."""
     return sorted(path.stem for path in HERE.glob("*.toml"))
 
 
 def kind(name: str, folder: Path | None = None) -> VehicleKind:
-    """Returns the kind of vehicle of that name: a shipped one, or one with `.py` and `.xml` in a folder of the user's.
+    """Returns a vehicle type by name.
+
+    Args:
+        name: name of a built-in vehicle type, or of a custom type.
+        folder: folder with the files `name.py` and `name.xml` of a custom type; None to allow only built-in types.
 
     Raises:
-        InputError: the kind does not exist, or the user's own code is wrong.
+        InputError: the vehicle type does not exist, or the code of a custom type is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -80,14 +88,15 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
 
 
 Entries = Mapping[str, Any]
-PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}  # types by the plane of motion, by `type` of a file
+# Vehicle type for each plane of motion, by the `type` in a file
+PLANES = {"half_car": {"pitch": "half_car", "roll": "half_car_roll"}}
 
 
 def in_plane(name: str, plane: str) -> str:
-    """Returns the name of the vehicle type that a `type` is in a plane.
+    """Returns the vehicle type of a vehicle file that gives a plane of motion in addition to its `type`.
 
     Raises:
-        InputError: the type has no such plane.
+        InputError: the plane is not available for this type.
     """
     planes = PLANES.get(name, {})
     if plane not in planes:
@@ -100,7 +109,7 @@ def in_plane(name: str, plane: str) -> str:
 
 @dataclass(frozen=True)
 class VehicleFile(Section):
-    """The sections of a vehicle file. Each is read by its own reader."""
+    """The sections of a vehicle file. A separate reader reads each section."""
 
     type: Annotated[str, Text('vehicle type, above the first section: `type = "quarter_car"`', ', as in type = "quarter_car"')]
     parameters: Annotated[Entries, AnyTable("parameters of the vehicle type, as `roadproof new` writes them")]
@@ -121,7 +130,7 @@ class VehicleFile(Section):
 
 
 SECTIONS = tuple(keys(VehicleFile))
-LIFTED, FASTEST = "height", 1e3  # name of the height of a drop in `[start]`; largest number there [SI]
+LIFTED, FASTEST = "height", 1e3  # key of the drop height in `[start]`; largest value allowed there [SI]
 PERSON = (
     " is the acceleration of a mass above the body, so its ride is that of a person; name the points with a person as people in "
     "KIND of"
@@ -130,31 +139,35 @@ PERSON = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle(ShownResult):
-    """Vehicle of a vehicle file.
+    """Vehicle of a vehicle file: vehicle type, parameters, weights, controllers and hardware.
+
+    `read_vehicle` and `parse_vehicle` create vehicles.
 
     Attributes:
-        kind: equations and MJCF.
+        kind: vehicle type: equations and MJCF.
         parameters: SI values by name.
         performance: weight of each signal in the controlled output z (34).
         controllers: controllers by name, without `passive` and `state`, which always exist.
-        text: the vehicle file, as read, with the matrices of laws instead of the files that it names; it goes into the logs.
-            Laws in Python stay named.
+        text: text of the vehicle file. The matrices of control laws replace the names of the files that contain them, so the
+            text can be stored in logs. Control laws in Python remain file names.
         source: path of the file, for messages.
         limits: limits of the hardware.
         implementation: sampling, delay, noise and quantisation of the controller.
-        named_files: the files with matrices, those with families, and those with tables.
-        filters: filter from a weighted signal to z, by signal; signals of constant weight have none.
-        road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
+        named_files: other files that the vehicle file names, with matrices, vehicle families or tables.
+        filters: filter from a weighted signal to z, by signal; signals of constant weight do not have a filter.
+        road_filter: filter from the disturbance w to the road velocity under every wheel; None if w is the road velocity.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
-        curves: curves of dampers and springs, by the parameter that each curve replaces.
-        dampers: adjustable dampers instead of actuators, by force.
+        curves: characteristics of nonlinear dampers and springs, by the parameter that each characteristic replaces.
+        dampers: semi-active dampers that replace actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
         elements: force elements of `[parts]`.
-        force_limits: limits with those of actuators that push, for the controllers that drive these instead of the dampers.
-        start: state at the start of runs beyond rest, by name of the state; empty for rest. See `starting`.
+        force_limits: limits of the force actuators, for controllers with `actuators = "force"` on a vehicle with semi-active
+            dampers; None for vehicles without semi-active dampers.
+        start: initial state of runs relative to equilibrium, by name of the state; empty for a start in equilibrium. See
+            `starting`.
 
     Raises:
-        InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
+        InputError: a parameter is missing, unknown or not allowed, a weight is not allowed, or a field has the wrong type.
     """
 
     kind: VehicleKind
@@ -195,14 +208,18 @@ class Vehicle(ShownResult):
                 raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {known}")
 
     def starting(self, **start: float | str) -> "Vehicle":
-        """Returns the vehicle with another state at the start of its runs, for drops and releases; without arguments from rest.
+        """Returns the vehicle with another initial state of its runs, for drop and release tests.
 
         Args:
-            start: states of the linear model, such as `suspension_deflection`, and `height`, by which the whole vehicle is lifted
-                above the road [SI], or texts with a unit, such as "20 mm". States that are not given are those at rest.
+            start: initial states [SI], or texts with a unit, such as "20 mm". Names are the states of the linear model, such as
+                `suspension_deflection`, and `height`, by which the whole vehicle is lifted above the road. All other states
+                start in equilibrium. Without arguments, the whole vehicle starts in equilibrium.
+
+        Returns:
+            A copy of the vehicle with this initial state.
 
         Raises:
-            InputError: a name is not known, or a value is not a number in its unit.
+            InputError: a name is unknown, or a value is not a number in the unit of its state.
 
         Example:
             >>> from models import read_vehicle
@@ -218,21 +235,24 @@ class Vehicle(ShownResult):
 
     @cached_property
     def start_state(self) -> Array | None:
-        """Difference of the state at the start of runs from rest, shape (n,); None for rest."""
+        """Initial state of runs relative to equilibrium, shape (n,); None for a start in equilibrium."""
         if not self.start:
             return None
         model = self.linear_model
-        lifted = -self.start.get(LIFTED, 0.0) * model.jump.sum(axis=1)  # as if the road lay lower
+        lifted = -self.start.get(LIFTED, 0.0) * model.jump.sum(axis=1)  # lifting the vehicle is equivalent to lowering the road
         return lifted + [self.start.get(name, 0.0) for name in model.states]
 
     def with_parameters(self, **parameters: float | str) -> "Vehicle":
-        """Returns the vehicle with other values of some parameters, its controllers as they are.
+        """Returns the vehicle with other values of some parameters. Its controllers do not change.
 
         Args:
-            parameters: values [SI], or texts with a unit, such as "450 kg". Improbable values are warned of.
+            parameters: values [SI], or texts with a unit, such as "450 kg". The method warns of improbable values.
+
+        Returns:
+            A copy of the vehicle with these parameters.
 
         Raises:
-            InputError: a parameter is unknown or not allowed, or they are not a vehicle together.
+            InputError: a parameter is unknown or not allowed, or the combination of parameters is not a valid vehicle.
 
         Example:
             >>> from models import read_vehicle
@@ -247,7 +267,14 @@ class Vehicle(ShownResult):
         return vehicle
 
     def altered(self, values: Mapping[str, float], **fields: Any) -> "Vehicle":
-        """Returns the vehicle with other values of some parameters, unchecked, and springs that carry the new static loads."""
+        """Returns the vehicle with other values of some parameters, without checks.
+
+        Preloaded springs carry the new static loads.
+
+        Args:
+            values: new values [SI] by parameter.
+            fields: new values of other fields of the vehicle.
+        """
         parameters = {**self.parameters, **values}
         if self.curves:
             rebalanced = FEATURES.load("curves of suspensions").rebalanced_curves
@@ -255,12 +282,12 @@ class Vehicle(ShownResult):
         return replace(self, parameters=parameters, **fields)
 
     def adjusted(self, force: str) -> bool:
-        """Returns True if an adjustable damper replaces the own damper at a force."""
+        """Returns True if a semi-active damper replaces the passive damper at the place of a control force."""
         return force in self.dampers and self.dampers[force].replaces
 
     @cached_property
     def parts(self) -> Parts:
-        """Forces of its suspensions at the wheels beyond those of linear springs and dampers."""
+        """Suspension forces, as seen at the wheels, in addition to those of linear springs and dampers."""
         if not (self.curves or self.dampers or self.kind.ratios or self.limits.stopped or self.elements):
             return Parts()
 
@@ -273,7 +300,7 @@ class Vehicle(ShownResult):
 
     @property
     def linearised(self) -> "Vehicle":
-        """The vehicle of linear analysis, with every curve replaced by its line at rest."""
+        """The vehicle of linear analysis: a straight line, its tangent at equilibrium, replaces each characteristic."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
         straight = {name: replace(table, straight=True) for name, table in self.kind.ratios.items()}
         kind = replace(self.kind, ratios=straight) if straight else self.kind
@@ -282,11 +309,11 @@ class Vehicle(ShownResult):
 
     @cached_property
     def linear_model(self) -> LinearModel:
-        """Linear model of these parameters, with the lines of all parts."""
+        """Linear model for these parameters, with the linearised forces of all parts."""
         return self._with_lines(self.kind.model(self.parameters))
 
     def _with_lines(self, model: LinearModel) -> LinearModel:
-        """Returns a linear model of the vehicle type with the lines of all parts."""
+        """Returns a linear model of the vehicle type with the linearised forces of all parts added."""
         more = [one for one in self.parts if one.added_line.sloped] if self.elements else []
         if not more:
             return model
@@ -296,20 +323,24 @@ class Vehicle(ShownResult):
         from models.kinds.at_wheels import force_effects
 
         rows, (push, shown) = model.rows(names)[0], force_effects(self.kind, self.parameters, names)
-        speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))  # no force acts on the parts' own states at once
+        # The force has no direct effect on the parts' own states
+        speeds, own = rows @ model.A, ((0, len(self.kind.of_parts)), (0, 0))
         model = FEATURES.load("lines of parts").with_own_states(
             model.with_lines(rows, push, shown, stiffness, damping), more, rows, speeds, push, shown
         )
         return model.with_inertance(np.pad(speeds, own[::-1]), np.pad(push, own), np.pad(shown, own), inertance)
 
     def force_effects(self, deflections: Sequence[str]) -> tuple[Array, Array]:
-        """Returns the effect of suspension forces that pull together on the states and outputs of its linear model.
+        """Returns the effect of suspension forces on the states and outputs of the linear model.
+
+        A positive force pulls body and wheel together.
 
         Args:
-            deflections: signals of e suspensions.
+            deflections: names of the deflection signals of e suspensions.
 
         Returns:
-            Effects per force, shapes (n, e) and (p, e): for inertial parts carry a share of the force.
+            Effects per unit force on the derivatives of the n states, shape (n, e), and on the p outputs, shape (p, e). An
+            inertial part takes over a share of each force.
         """
         from models.kinds.at_wheels import force_effects
 
@@ -322,13 +353,13 @@ class Vehicle(ShownResult):
 
     @property
     def sensed_signals(self) -> tuple[str, ...]:
-        """Output signals of the linear model for which MuJoCo has sensors: all but the own states of parts."""
+        """Output signals of the linear model that have a MuJoCo sensor, that is, all but the own states of parts."""
         outputs = self.linear_model.outputs
         return outputs[: len(outputs) - len(self.kind.of_parts)]
 
     @cached_property
     def ride_points(self) -> RidePoints:
-        """The points at which the ride is measured."""
+        """The points of the vehicle at which the ride is measured."""
         return self.kind.ride_points(self.linear_model)
 
     @cached_property
@@ -338,7 +369,7 @@ class Vehicle(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Vehicle type and file, then parameters, weights and controllers."""
+        """Overview: vehicle type and file, then parameters, weights and controllers."""
         from models.kinds.at_wheels import ratio_notes
 
         units = {parameter.name: parameter.unit for parameter in self.kind.parameters}
@@ -354,7 +385,7 @@ class Vehicle(ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """The gain from the road's velocity to the weighted signals, without control."""
+        """Figure of the gain from the road velocity to the weighted signals, without control."""
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
@@ -365,7 +396,7 @@ class Vehicle(ShownResult):
 
     @cached_property
     def with_ideal_actuators(self) -> "Vehicle":
-        """The vehicle with ideal force actuators instead of its adjustable dampers."""
+        """The vehicle with ideal force actuators instead of its semi-active dampers."""
         if not self.dampers:
             return self
         names = {name for damper in self.parts.adjustable for name in (damper.coefficient, damper.missing)}
@@ -378,19 +409,21 @@ class Vehicle(ShownResult):
 
     @cached_property
     def with_force_actuators(self) -> "Vehicle":
-        """The vehicle with the actuators of controllers with `actuators = "force"`, which push within `[limits]`."""
+        """The vehicle with the force actuators that controllers with `actuators = "force"` drive, within `[limits]`."""
         return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
 
     def with_actuators_of(self, name: str) -> "Vehicle":
-        """Returns the vehicle with the actuators that a controller drives: adjustable dampers, or those that push."""
+        """Returns the vehicle with the actuators that a controller drives: its semi-active dampers, or force actuators."""
         forced = bool(self.dampers) and name in self.controllers and self.controllers[name].forced
         return self.with_force_actuators if forced else self
 
     def with_common_actuators(self, names: Sequence[str]) -> "Vehicle":
-        """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
+        """Returns the vehicle with the actuators that all named controllers drive.
+
+        `passive` and `state` can be combined with both types of actuator.
 
         Raises:
-            InputError: some controllers drive dampers, others force actuators.
+            InputError: some controllers drive semi-active dampers, others force actuators.
         """
         named = [name for name in names if name in self.controllers]
         pushing = [name for name in named if self.with_actuators_of(name) is not self]
@@ -403,14 +436,14 @@ class Vehicle(ShownResult):
         return self.with_force_actuators if pushing else self
 
     def without(self, part: str) -> "Vehicle":
-        """Returns the vehicle without a part of its limits or implementation; itself if its file has no such part.
+        """Returns the vehicle without a part of its limits or implementation; the same vehicle if it does not have this part.
 
         Args:
-            part: `noise` is noise and quantisation, `delay` that of the forces, `limits` the largest force and the bump stops,
-                `lag` that of actuators or valves.
+            part: the omitted part: `noise` (measurement noise and quantisation), `delay` (of the forces), `limits` (largest
+                force and bump stops) or `lag` (of actuators or valves).
 
         Raises:
-            InputError: the part is another one.
+            InputError: the part has another name.
         """
         if part not in WITHOUT:
             raise InputError(f"without {part!r} is not known; known: {list_names(WITHOUT)}")
@@ -429,7 +462,10 @@ class Vehicle(ShownResult):
 
     @cached_property
     def integrals(self) -> Mapping[str, Mapping[str, float]]:
-        """Integrals that z weighs, states of the design plant: the factors of the integrated signals, by name of the state."""
+        """Integrators that the weights of z add to the states of the design plant.
+
+        Maps the name of each integrator state to the factors of the signals that it integrates.
+        """
         different: dict[str, Mapping[str, float]] = {}
         for row in self.weighted:
             if row.filter is not None and row.filter.residue and row.terms not in different.values():
@@ -448,7 +484,7 @@ class Vehicle(ShownResult):
 
     @property
     def without_integrals(self) -> "Vehicle":
-        """The vehicle whose z has no integrals: of a filter with a pole at 0 the rest is left."""
+        """The vehicle without integrators in z. A filter with a pole at 0 keeps only its other poles."""
         if not self.integrals:
             return self
         rest = {name: one.without_integral for name, one in self.filters.items()}
@@ -462,11 +498,11 @@ class Vehicle(ShownResult):
         )
 
     def summed(self, values: Array, axis: int = -1) -> Array:
-        """Returns the output signals and, after them, the sums in z without their weights.
+        """Returns the output signals, followed by the unweighted sums of signals in z.
 
         Args:
-            values: values with the p output signals along an axis.
-            axis: the axis.
+            values: values of the p output signals along one axis.
+            axis: axis of the output signals.
         """
         if not self.sums:
             return values
@@ -476,10 +512,13 @@ class Vehicle(ShownResult):
         return np.concatenate([values, more], axis=axis)
 
     def weights(self, omega: Array) -> Array:
-        """Returns the weight of every output signal and sum in the controlled output z (34) by frequency, complex, shape (F, p).
+        """Returns the frequency response of the weight of each output signal and sum in the controlled output z (34).
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
+
+        Returns:
+            Complex weights, shape (F, p): a row per frequency, a column per output signal and then per sum.
         """
         ones = np.ones(len(omega), dtype=complex)
         return np.stack(
@@ -492,7 +531,7 @@ class Vehicle(ShownResult):
         )
 
     def road_shape(self, omega: Array) -> Array:
-        """Returns the road's velocity per disturbance w by frequency, complex, shape (F,); 1 without a filter.
+        """Returns the frequency response from the disturbance w to the road velocity, complex, shape (F,); 1 without a filter.
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
@@ -501,7 +540,7 @@ class Vehicle(ShownResult):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
+        """All files that define the vehicle: the vehicle file, control laws, roads of peak bounds, and the vehicle type."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.source.path for entry in entries if entry.source.path))
         roads = named_files(road for entry in entries if entry.goals is not None for road in entry.goals.roads)
@@ -509,7 +548,7 @@ class Vehicle(ShownResult):
 
     @property
     def unladen(self) -> "Vehicle":
-        """The vehicle of its file without `[payload]`; itself if its file has no payload."""
+        """The vehicle of its file without `[payload]`; the same vehicle if the file has no payload."""
         toml_value = FEATURES.load("editing of TOML").toml_value
         data = parse_toml(self.text)
         if not data.pop("payload", None):
@@ -518,10 +557,10 @@ class Vehicle(ShownResult):
         return parse_vehicle(text, self.source, Path(self.source).parent if self.source else None)
 
     def text_for(self, path: Path) -> str:
-        """Returns the text that a file needs to be this vehicle: laws in Python are named from its folder.
+        """Returns the text of a vehicle file at a path that describes this vehicle. Paths of Python laws are relative to it.
 
         Raises:
-            InputError: the file could not be read there, as a law or the kind is in another folder.
+            InputError: a vehicle file at this path could not be read, because a law or the vehicle type is in another folder.
         """
 
         laws = {name: entry.source for name, entry in self.controllers.items()}
@@ -541,22 +580,22 @@ class Vehicle(ShownResult):
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """Returns the vehicle with its parameters and weights checked together, which `dataclasses.replace` does not do.
+        """Returns the vehicle after a check of the combination of parameters and weights, which `dataclasses.replace` omits.
 
         Raises:
-            InputError: the parts are not a vehicle together, or do not fit its curves, dampers or filters.
+            InputError: the combination is not a valid vehicle, or does not fit its characteristics, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
         outputs = (*self.kind.full_model(parameters).outputs, *names_of(self.kind.of_parts))
         check_weights(self.performance, self.sums, outputs)
         filters = {signal: one for signal, one in self.filters.items() if self.performance.get(signal)}
         sound = replace(self, kind=self.kind.naming(self.performance), parameters=parameters, filters=filters)
-        _ = sound.parts  # these parameters, too, must go with its dampers
+        _ = sound.parts  # raises an InputError if the parameters do not fit the dampers
         return sound
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Remarks on numbers that are probably in another unit or swapped, and on its curves."""
+        """Warnings about numbers that probably have another unit or are swapped, and about characteristics."""
         pairs = [damper.pair for damper in self.dampers.values() if damper.pair is not None]
         curves = {**self.curves, **{name: one for pair in pairs for name, one in (("c_min", pair.soft), ("c_max", pair.hard))}}
         doubts = list[str]()
@@ -583,15 +622,22 @@ class Vehicle(ShownResult):
         return (*RESERVED_NAMES, *(name for name, entry in self.controllers.items() if entry.linear))
 
     def driver(self, name: str, design: Design[T], read: Callable[[], str] | None = None) -> "T | PythonController | SemiActive":
-        """Returns the controller of a name, `passive` and `state` among them; arguments and errors as of `LawSource.driver`."""
+        """Returns the controller with a name, including `passive` and `state`.
+
+        Arguments and errors are those of `LawSource.driver`.
+        """
         return self.controllers[name].driver(design, read) if name in self.controllers else design(name)
 
     def located(self, error: InputError) -> InputError:
-        """Returns the error with the vehicle file's name in front."""
+        """Returns the error with the name of the vehicle file in front."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:
-        """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
+        """Checks the sample period and the measured signals of a controller.
+
+        Raises:
+            InputError: the sample period differs from that of the implementation, or a measured force has no sensor.
+        """
         check_period(entry.name, entry.source.sample_period, self.implementation)
         if (self.filters or self.sums) and self.integrals:
             FEATURES.load("integrals").check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
@@ -599,7 +645,7 @@ class Vehicle(ShownResult):
             PARTS.load("adjustable damper").check_measured(entry.name, entry.measured, self)
 
     def hardware(self, name: str) -> DesignConditions:
-        """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
+        """Returns sensor noise, actuator lag and loads for the design of a controller; no such conditions for built-in ones."""
         return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
@@ -620,13 +666,17 @@ class Vehicle(ShownResult):
 
 
 def read_vehicle(file: str | Path) -> Vehicle:
-    """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
+    """Reads a vehicle file, or a built-in vehicle by name, such as "quarter_car".
 
     Args:
-        file: path or name of the vehicle file.
+        file: path of a vehicle file, or name of a built-in vehicle.
+
+    Returns:
+        The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: the file is missing, not TOML, or a key is missing, unknown or not allowed: the message says file and key.
+        InputError: the file is missing or is not TOML, or a key is missing, unknown or not allowed. The message gives the file
+            and the key.
 
     Example:
         >>> from models import read_vehicle
@@ -644,10 +694,13 @@ def read_vehicle(file: str | Path) -> Vehicle:
 
 
 def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with the contents of other files instead of their names, and those files.
+    """Replaces names of other files in the text of a vehicle file by the contents of these files.
+
+    Returns:
+        The complete text, and the paths of the other files.
 
     Raises:
-        InputError: the text is not TOML, or one of these files is missing or wrong.
+        InputError: the text is not TOML, or another file is missing or invalid.
     """
     if not re.search(r"\bfamily\b|\b(file|stop)\b[\"']?\s*[=\]]", text):
         return text, ()
@@ -656,16 +709,20 @@ def resolved_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
-    """Returns a vehicle from the text of its file.
+    """Returns a vehicle from the text of a vehicle file.
 
     Args:
-        text: TOML.
+        text: text of a vehicle file in TOML.
         source: path of the file, for messages.
-        folder: folder of a user's own kind of vehicle, and of laws in Python; without it, only shipped kinds are known, and no
-            such law can be run.
+        folder: folder that contains custom vehicle types and Python control laws. If None, only built-in vehicle types are
+            known, and Python control laws cannot run.
+
+    Returns:
+        The vehicle, with its parameters in SI units.
 
     Raises:
-        InputError: an error of `read_vehicle`, or a law in a file of its own, which is read only for vehicle files, not for text.
+        InputError: any error of `read_vehicle`; or the text names a file with a control law, because only `read_vehicle`
+            reads other files.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle
@@ -744,7 +801,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     if given.start:
         vehicle = vehicle.starting(**given.start)
     if dampers or vehicle_kind.ratios:
-        _ = vehicle.parts.with_curve  # these go together, and have few enough lines
+        _ = vehicle.parts.with_curve  # raises an InputError if the parts do not fit each other or have too many segments
     for entry in controllers.values():
         vehicle.check_entry(entry)
     return vehicle

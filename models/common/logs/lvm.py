@@ -1,9 +1,9 @@
 """Measurement files of LabVIEW (.lvm) as tables of numbers.
 
-Format: National Instruments, Specification for the LabVIEW Measurement File. A header of the file ends with
+Format: National Instruments, Specification for the LabVIEW Measurement File. The header of the file ends with
 `***End_of_Header***`, and so does the header of each segment, which has a column for each channel. A line of names and the
-numbers follow. `X_Columns` is "One" for a first column of times, "Multi" for one column of times for each channel, and "No" for
-times that only `X0` and `Delta_X` give.
+numbers follow. The entry `X_Columns` is "One" if the first column contains times, and "Multi" if each channel has its own
+column of times. It is "No" if only `X0` and `Delta_X` give the times.
 """
 
 from models.common.errors import InputError, short_repr
@@ -13,7 +13,9 @@ TIME = "time [s]"
 
 
 def lvm_text(text: str) -> str:
-    """Returns the numbers of a LabVIEW file under headings with units, line for line. Comments of rows are left out.
+    """Returns the numbers of a LabVIEW file under headings with units, with the line numbers of the file.
+
+    Comments in rows are omitted.
 
     Raises:
         InputError: a header has no end, the file has no times, or channels have different times.
@@ -24,7 +26,7 @@ def lvm_text(text: str) -> str:
         raise InputError(f"the LabVIEW file has no line {END}; export the whole file")
     about = {words[0]: words[1] for line in lines[: ends[0]] if len(words := line.replace(",", "\t", 1).split("\t")) > 1}
     mark = {"comma": ",", "semicolon": ";"}.get(about.get("Separator", "").strip().lower(), "\t")
-    if len(ends) == 1:  # no segment has a header
+    if len(ends) == 1:  # only the file has a header
         return "\n".join(["", *[""] * ends[0], *lines[ends[0] + 1 :]])
     rows = [[cell.strip() for cell in line.split(mark)] for line in lines[ends[0] + 1 : ends[1]]]
     segment = {name: cells for name, *cells in rows}
@@ -46,7 +48,7 @@ def lvm_text(text: str) -> str:
     table, row, skipped = [""] * (ends[1] + 1), 0, False
     table.append(mark.join(headings))
     for i, line in enumerate(lines[ends[1] + 2 :], ends[1] + 2):
-        skipped = skipped or line.startswith("Channels")  # the header of another segment
+        skipped = skipped or line.startswith("Channels")  # header of another segment
         cells = line.split(mark)
         if skipped or not line.strip() or cells[0].startswith("X_Value"):
             skipped = skipped and i not in ends

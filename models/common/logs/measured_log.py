@@ -1,7 +1,7 @@
-"""Measured logs: columns over time, named like signals, from any table of numbers (`models.common.table`).
+"""Measured logs: columns over time whose names are signal names, from any table of numbers (`models.common.table`).
 
-A heading names a signal in any case and order of words: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection [mm]`. Cells may
-be missing, and times may be uneven.
+A heading may contain the words of a signal name in any case and order: `Sprung Acceleration (m/s^2)`, `FL suspension_deflection
+[mm]`. Cells may be empty, and the sample rate may vary.
 """
 
 import re
@@ -22,9 +22,9 @@ from models.common.table import find_table, table_text
 from models.common.units import unit_size
 
 GIVE = "give a line of headings such as: time [s], sprung_acceleration [m/s2], and below it one line for each time"
-GAP = 5.0  # longest step between samples over the median step: nothing is known within longer ones
-ROWS = 100  # that show the number of columns: the first row may end with missing cells
-LEAST = 3  # samples of a log
+GAP = 5.0  # longest step between samples, relative to the median step; signals are unknown within longer gaps
+ROWS = 100  # number of rows that determine the number of columns, because the first row may end with missing cells
+LEAST = 3  # smallest number of samples in a log
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class MeasuredLog:
 
     Attributes:
         source: path of the file.
-        time: ascending times of the samples, in the log's own clock [s], shape (n,).
-        signals: measured values in SI units, shape (n,), by name of the signal; NaN where a cell is missing.
-        remarks: columns that are left out, and units that are assumed.
+        time: times of the samples on the log's own clock [s], ascending, shape (n,).
+        signals: measured values in SI units by name of the signal, each of shape (n,); NaN for a missing cell.
+        remarks: notes about omitted columns and assumed units.
     """
 
     source: str
@@ -45,11 +45,11 @@ class MeasuredLog:
 
     @cached_property
     def step(self) -> float:
-        """The median step between samples [s]."""
+        """Median step between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
     def at(self, name: str, time: Array) -> Array:
-        """Returns a signal at some times [s], linear between samples; NaN outside the log and within its gaps."""
+        """Returns a signal at given times [s], interpolated linearly; NaN outside the log and within its gaps."""
         values = np.interp(time, self.time, self.signals[name], left=np.nan, right=np.nan)
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         apart = self.time[after] - self.time[after - 1]
@@ -60,17 +60,22 @@ class MeasuredLog:
 def read_measured_log(
     path: Path, units: Mapping[str, str], rate: float | None = None, columns: Mapping[str, str] = {}
 ) -> MeasuredLog:
-    """Reads the columns of a file that are named like signals: .csv, .txt, .lvm, .mat, .xlsx or .parquet.
+    """Reads the columns of a measured log whose names are signal names: .csv, .txt, .lvm, .mat, .xlsx or .parquet.
 
-    Times count from the first sample if they are times of day, or follow from the rate.
+    Times of day, and times that follow from the sample rate, are relative to the first sample.
 
     Args:
+        path: path of the file.
         units: SI unit of each signal that may be read, by name.
-        rate: sample rate of a file without a column of time [Hz]; None for a file with one.
-        columns: headings of signals that have other names in the file, by name of the signal; with a unit if the file has none.
+        rate: sample rate of a file without a column of time [Hz]; None for a file with such a column.
+        columns: heading in the file for each signal that has another name there, by name of the signal. If the file gives no
+            unit, the heading may contain it.
+
+    Returns:
+        The measured signals in SI units, with their times.
 
     Raises:
-        InputError: the file cannot be read, no column is named like a signal, a unit is wrong, or times do not ascend.
+        InputError: the file cannot be read, no column has the name of a signal, a unit is wrong, or times do not ascend.
 
     Example:
         >>> import tempfile
@@ -92,7 +97,7 @@ def read_measured_log(
         table = find_table(table_text(path), GIVE)
         table = replace(table, count=max(len(cells) for _, cells in islice(table.rows(), ROWS)))
         headings = table.headings({*units.values(), "s"}, alike=True)
-        # The heading t_s is not a unit t/s.
+        # The heading t_s means time in s, not the unit t/s.
         headings = [one if one.name or not one.text else heading_of(one.text, ("s",), one.column) for one in headings]
         clocks = [one for one in headings if is_time(one)]
         clocks = [one for one in clocks if one.quantity == "time"] or clocks
@@ -128,29 +133,29 @@ def read_measured_log(
 
 
 def is_time(heading: Heading) -> bool:
-    """Returns True for a column of times; LabVIEW calls one X_Value."""
+    """Returns True for a column of times. LabVIEW calls such a column X_Value."""
     named = "time" in {NAMES.get(word) for word in heading.words} or heading.name.lower() == "x_value"
     return named and (not heading.unit or unit_size(heading.unit, "s") is not None)
 
 
 def name_key(text: str) -> frozenset[str]:
-    """Returns the words of a name in any order and case, as of `FrontLeftTravel` and `travel FL`."""
+    """Returns the words of a name, independent of order and case. `FrontLeftTravel` and `travel FL` give the same result."""
     words: list[str] = re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
     return frozenset(part for word in words for part in CORNERS.get(word, word).split("_"))
 
 
 def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapping[str, str]) -> dict[str, Heading]:
-    """Returns the column of each signal, by the signal's name.
+    """Returns the column of each signal, by the name of the signal.
 
     Raises:
-        InputError: no column is a signal's, or several are the same one's, or a given heading does not exist.
+        InputError: no column belongs to a signal, several belong to the same signal, or a given heading does not exist.
     """
     used = dict[str, Heading]()
     for name, unit in units.items():
         given = heading_of(columns[name], (unit,)) if name in columns else Heading(name, name)
         keys = {name_key(given.name), name_key(given.text)}
         ones = [one for one in headings if {name_key(one.name), name_key(one.text)} & keys]
-        if name in columns:  # other brackets belong to the name
+        if name in columns:  # brackets with other content belong to the name
             known = [[one for one in (each.unit, given.unit) if one and unit_size(one, one)] for each in ones]
             ones = [replace(one, unit=next(iter(some), "")) for one, some in zip(ones, known, strict=True)]
         if len(ones) > 1:
@@ -170,10 +175,10 @@ def _columns_of(headings: list[Heading], units: Mapping[str, str], columns: Mapp
 
 
 def _scale(heading: Heading, si: str, name: str) -> float:
-    """Returns the size of a column's unit in that of its signal.
+    """Returns the size of a column's unit in the unit of its signal.
 
     Raises:
-        InputError: the unit is unknown, or of another quantity.
+        InputError: the unit is unknown, or belongs to another quantity.
     """
     size = unit_size(heading.unit or si, si)
     if size is None:

@@ -1,1 +1,1 @@
-"""Force elements that a section of `[parts]` can be: one file for each."""
+"""Force elements for sections of `[parts]`, one per file."""

@@ -1,8 +1,8 @@
-"""Bouc-Wen hysteresis (Y. K. Wen, 1976): a bushing, a wire-rope isolator, or a magnetorheological damper in its simple form.
+"""Bouc-Wen hysteresis (Y. K. Wen, 1976): model of a bushing, a wire-rope isolator or a simple magnetorheological damper.
 
     F = k0 d + c0 v + alpha z,    z' = A v - beta |v| |z|^(n-1) z - gamma v |z|^n.
 
-At a voltage u, c0 and alpha are c0 + c0_per_volt u and alpha + alpha_per_volt u.
+A voltage u changes c0 and alpha to c0 + c0_per_volt u and alpha + alpha_per_volt u.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from models.parts.part import Number
 
 @dataclass(frozen=True)
 class BoucWen(Hysteretic, Section):
-    """Hysteresis beside a spring and a damper."""
+    """Hysteresis in parallel with a spring and a damper."""
 
     states = (Signal("hysteresis", "z", "m", "hysteretic displacement"),)
     by_voltage: ClassVar[tuple[str, ...]] = ("alpha", "c0")

@@ -1,8 +1,8 @@
-"""Dahl friction beside a damper (P. R. Dahl, 1968), as the model of a magnetorheological damper.
+"""Dahl friction in parallel with a damper (P. R. Dahl, 1968), as a model of a magnetorheological damper.
 
     F = c v + f w,    w' = rho (v - |v| w),
 
-with w from -1 to 1. At a voltage u, c and f are c + damping_per_volt u and f + force_per_volt u.
+where w is between -1 and 1. A voltage u changes c and f to c + damping_per_volt u and f + force_per_volt u.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from models.parts.part import Number
 
 @dataclass(frozen=True)
 class Dahl(Hysteretic, Section):
-    """Damper with Dahl friction."""
+    """Damper in parallel with Dahl friction."""
 
     states = (Signal("friction", "w", "1", "friction relative to its largest"),)
     by_voltage: ClassVar[tuple[str, ...]] = ("force", "damping")

@@ -1,14 +1,17 @@
-"""Gas spring: a piston of area A on a gas of volume V, as of an air spring, a hydropneumatic strut or a gas strut.
+"""Gas spring: a piston of area A compresses a gas of volume V, as in an air spring, a hydropneumatic strut or a gas strut.
 
-The gas carries the load W at rest, with the volume V_0, and the atmosphere's pressure p_a acts on the other side of the piston:
+In equilibrium, the gas has the volume V_0 and carries the load W. Atmospheric pressure p_a acts on the other side of the
+piston:
 
     F = W - (p - p_a) A,    p = p_0 (V_0 / V)^n,    p_0 = p_a + W / A,    V = V_0 + A d.
 
-The exponent n is 1 for a slow motion at constant temperature, and 1.4 for a fast one of air or nitrogen. The stiffness at rest is
-n p_0 A^2 / V_0 (J. Reimpell, H. Stoll, J. W. Betzler, The Automotive Chassis, 2nd ed., section 5.3).
+The polytropic exponent n is 1 for slow motion at constant temperature, and 1.4 for fast motion of air or nitrogen. The
+stiffness at equilibrium is n p_0 A^2 / V_0 (J. Reimpell, H. Stoll, J. W. Betzler, The Automotive Chassis, 2nd ed., section
+5.3).
 
-At another temperature T the load is the same, and so is its pressure. A level control with oil keeps the ride height, as in
-hydropneumatic suspensions, while the gas changes its volume: V_0 is then that of the file times T / T_0.
+At another temperature T, the load and the pressure in equilibrium stay the same. A level
+control with oil keeps the ride height, as in hydropneumatic suspensions. The volume of the gas changes: V_0 is the volume in
+the file times T / T_0.
 """
 
 from dataclasses import dataclass
@@ -24,13 +27,13 @@ from models.parts.part import Line, Number, Part
 
 ATMOSPHERE = 101325.0  # Pa
 USUAL = 293.15  # K
-NARROWEST = 0.02  # share of the volume at rest; a real spring is on its stop before
-DRAWN_SHARE = 0.5  # share of the gas column at rest, up to which the curve is drawn, either way
+NARROWEST = 0.02  # smallest volume relative to that in equilibrium; a real spring reaches its stop before
+DRAWN_SHARE = 0.5  # largest deflection of the drawn characteristic, relative to the length of the gas column in equilibrium
 
 
 @dataclass(frozen=True)
 class GasSpring(Part, Section):
-    """Spring of a gas in a cylinder."""
+    """Gas spring in a cylinder."""
 
     argument = "deflection"
     stores = True
@@ -51,37 +54,37 @@ class GasSpring(Part, Section):
 
     @property
     def whole(self) -> Number:
-        """The force of the gas at rest with that of the atmosphere [N]."""
+        """The force of the gas on the piston in equilibrium, including atmospheric pressure [N]."""
         load = self.pressure * self.area if self.load is None else self.load  # pyright: ignore[reportOptionalOperand]
         return load + ATMOSPHERE * self.area
 
     @property
     def column(self) -> Number:
-        """Length of the gas column at rest [m]."""
+        """Length of the gas column in equilibrium [m]."""
         return self.volume / self.area * self.temperature / self.volume_temperature
 
     @property
     def reach(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Deflection up to which the curve is drawn [m]."""
+        """Largest deflection of the drawn characteristic [m]."""
         return float(DRAWN_SHARE * np.min(self.column))
 
     def _inside(self, d: Array) -> Array:
-        """Returns the deflections down to the narrowest volume [m], at which the pressure stays."""
+        """Returns the deflections [m], limited to the smallest volume. The pressure does not rise beyond this limit."""
         return np.maximum(d, (NARROWEST - 1) * self.column)
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.pull`: W - (p - p_a) A = -(W + p_a A) ((V_0 / V)^n - 1)."""
+        """See `Part.pull`. The force is W - (p - p_a) A = -(W + p_a A) ((V_0 / V)^n - 1)."""
         return -self.whole * np.expm1(-self.exponent * np.log1p(self._inside(d) / self.column))
 
     def stored(self, d: Array, z: Any = None) -> Array:
-        """See `Part.stored`: the energy of the gas, less the work of the load and of the atmosphere."""
+        """See `Part.stored`. The energy is that of the gas, minus the work of the load and of the atmosphere."""
         inside, m = self._inside(d), np.maximum(self.exponent - 1, 1e-12)
         stored = self.whole * (inside + self.column * np.expm1(-m * np.log1p(inside / self.column)) / m)
         return stored + self.pull(d, np.zeros(())) * (d - inside)
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`: n p_0 A^2 / V_0."""
+        """See `Part.line`. The stiffness is n p_0 A^2 / V_0."""
         return Line(self.exponent * self.whole / self.column)
 
     @property

@@ -1,18 +1,19 @@
-"""Hysteresis of Bouc and Wen: a force alpha z, whose state z follows the travel at first, and saturates.
+"""Hysteresis of Bouc and Wen: a force alpha z whose state z first follows the travel and then saturates.
 
 With the velocity w across the hysteretic element,
 
     z' = A w - b |w| |z|^(n-1) z - g w |z|^n,    |z| <= z_max = (A / (b + g))^(1/n).
 
-Motion away from z = 0 loses energy, and motion back to z = 0 returns the energy
+Motion away from z = 0 dissipates energy. Motion back to z = 0 returns the energy
 
     alpha S(z),    S = integral of x / (A + (b - g) x^n) from 0 to |z|.
 
-At a voltage u, numbers with a key `..._per_volt` are c + c_per_volt u, the force alpha per z among them. A change of the voltage
-changes the stored energy alpha S(z), which is the work of the coil.
+A parameter c with a key `..._per_volt` has the value c + c_per_volt u at a voltage u. This includes alpha. A change of the
+voltage therefore changes the stored energy alpha S(z); the coil supplies the difference.
 
-At rest z - A d is constant, with d the travel: a mode without decay. No force moves this mode, but a design needs one that
-decays. So linear analysis has the mode -`DECAY` there, which leaves each response from rest as it is.
+In the linearisation at equilibrium, z - A d is constant, where d is the travel. This is a mode without decay. No force excites
+this mode, but controller design needs modes that decay. Linear analysis therefore assigns the eigenvalue -`DECAY` to this mode,
+which does not change any response from equilibrium.
 """
 
 from abc import abstractmethod
@@ -29,7 +30,7 @@ from models.common.schema import SI
 from models.parts.part import CURVE, STEP, Limit, Line, Number, Part
 
 DECAY = 100.0  # 1/s
-FAST, FASTEST = 1.0, 2.0  # m/s, of a damper: for its largest force, and for how fast its state can be
+FAST, FASTEST = 1.0, 2.0  # m/s: velocities of a damper for its largest force, and for the largest rate of its state
 
 Voltage = Annotated[float, SI("V", "voltage, constant or without a command; or current in A, with numbers per ampere", 0.0)]
 LargestVoltage = Annotated[float, SI("V", "largest voltage that the suspension's controller sets, from 0; without this key none")]
@@ -37,12 +38,14 @@ Bandwidth = Annotated[float, SI("rad/s", "corner frequency of a first-order lag 
 
 
 class Hysteretic(Part):
-    """Part with such a state, its last one.
+    """Part with Bouc-Wen hysteresis, whose state z is its last own state.
 
     Attributes:
-        friction: True for a friction, which linear analysis leaves out.
-        by_voltage: names of the numbers that change with the voltage; the first is the force per z.
-        voltage, largest_voltage, bandwidth: see `Voltage`, `LargestVoltage` and `Bandwidth`.
+        friction: True for a friction, which linear analysis omits.
+        by_voltage: names of the parameters that depend on the voltage; the first is the force per z.
+        voltage: constant voltage, or voltage without a command [V].
+        largest_voltage: largest voltage that a controller sets [V]; None for a constant voltage.
+        bandwidth: corner frequency of the lag of the voltage [rad/s]; None for a voltage without lag.
     """
 
     by_voltage: ClassVar[tuple[str, ...]]
@@ -74,8 +77,8 @@ class Hysteretic(Part):
         return None if most is None else (-self.voltage, most - self.voltage)
 
     def at_voltage(self, u: Array | float = 0.0) -> tuple[Any, ...]:
-        """Returns the numbers `by_voltage` at voltages u beyond `voltage` [V]."""
-        if isinstance(u, float) and not u:  # of a constant voltage, in each stage of a step
+        """Returns the values of the parameters `by_voltage` at voltages u relative to `voltage` [V]."""
+        if isinstance(u, float) and not u:  # constant voltage: this runs in each stage of a step
             return self._without_command
         return self._at(self.voltage + u)
 
@@ -84,7 +87,7 @@ class Hysteretic(Part):
 
     @cached_property
     def _voltage_lines(self) -> tuple[tuple[Number, Number], ...]:
-        """Each of the numbers `by_voltage` at 0 V, and its change per volt."""
+        """Value at 0 V of each parameter in `by_voltage`, and its change per volt."""
         return tuple((getattr(self, name), getattr(self, f"{name}_per_volt")) for name in self.by_voltage)
 
     @cached_property
@@ -94,32 +97,35 @@ class Hysteretic(Part):
     @property
     @abstractmethod
     def law(self) -> tuple[Number, Number, Number, Number]:
-        """A, b, g and n."""
+        """The parameters A, b, g and n."""
 
     @abstractmethod
     def springs(self, d: Array, z: Array) -> Array | float:
         """Returns the stored energy without that of the hysteresis [J], shape (...)."""
 
     def after_yield(self, v: Array, u: Array | float = 0.0) -> Array:
-        """Returns the force at steady velocities [m/s] without that of springs [N], shape (...)."""
+        """Returns the force at constant velocities [m/s], without the force of springs [N], shape (...)."""
         z = np.zeros((*np.shape(v), len(self.states)))
         z[..., -1] = np.sign(v) * self.z_max
         return self.pull(np.zeros(np.shape(v)), v, z, u)
 
     @property
     def z_max(self) -> Number:
-        """The largest z."""
+        """The largest value of z."""
         A, b, g, n = self.law
         return (A / (b + g)) ** (1 / n)
 
     def evolution(self, w: Array, z: Array) -> Array:
-        """Returns z', shape (...), from w [m/s] and z, shape (...)."""
+        """Returns z', shape (...), for the velocity w [m/s] and the state z, shape (...)."""
         A, b, g, n = self.law
         size, speed = _magnitude(z), _magnitude(w)
         return A * w - size ** (n - 1) * (b * speed * z + g * w * size)
 
     def rate(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
-        """See `Part.rate`; of a part without further states, whose velocity is that across the element."""
+        """See `Part.rate`.
+
+        This version is for a part without other states, whose velocity is the velocity across the element.
+        """
         return self.evolution(v, z[..., 0])[..., None]
 
     def returned(self, z: Array) -> Array:
@@ -130,11 +136,14 @@ class Hysteretic(Part):
         return np.square(z) / (2 * A) * hyp2f1(1.0, 2 / n, 1 + 2 / n, (g - b) / A * np.abs(z) ** n)
 
     def stored(self, d: Array, z: Any = None, u: Array | float = 0.0) -> Array:
-        """See `Part.stored`; u are voltages beyond `voltage` [V]."""
+        """See `Part.stored`. The voltages u are relative to `voltage` [V]."""
         return self.springs(d, z) + self.at_voltage(u)[0] * self.returned(z[..., -1])
 
     def storing(self, d: Array, v: Array, z: Array, u: Array | float = 0.0) -> Array:
-        """Returns the rate of the stored energy at constant voltages [W], shape (...); the rest of `pull` times v is lost."""
+        """Returns the rate of the stored energy at constant voltages [W], shape (...).
+
+        The rest of `pull` times v is dissipated.
+        """
         A, b, g, n = self.law
         rates, own = self.rate(d, v, z, u), z[..., -1]
         of_springs = np.imag(self.springs(d + STEP * 1j * v, z + STEP * 1j * rates)) / STEP
@@ -142,7 +151,10 @@ class Hysteretic(Part):
 
     @cached_property
     def line(self) -> Line:
-        """See `Part.line`, and the mode above; of a friction without its force."""
+        """See `Part.line`.
+
+        It includes the mode with the eigenvalue -`DECAY`. For a friction, the hysteretic force is omitted.
+        """
         line, n = super().line, len(self.states)
         assert line.of_states is not None
         assert line.rates is not None
@@ -156,7 +168,7 @@ class Hysteretic(Part):
 
     @property
     def kinked_at_rest(self) -> bool:
-        """True: the rate of z bends with the sign of the velocity, at any motion."""
+        """True, because the rate of z depends on the sign of the velocity even for the smallest motion."""
         return True
 
     @property
@@ -164,16 +176,16 @@ class Hysteretic(Part):
         return float(self.after_yield(np.array(FAST)))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the force beyond the line of `LEAVES` of the largest one."""
+        """Returns the limit of the linear range: the share `LEAVES` of the largest force."""
         return (Limit(CURVE, "force", 0.0, LEAVES * self.range),) if self.range else ()
 
     @property
     def fastest(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """See `Part.fastest`: as z approaches its limit, or as it returns from there."""
+        """See `Part.fastest`. The rate is largest while z approaches its limit, or while it returns from there."""
         _, b, g, n = self.law
         return float(max(b + g, abs(b - g)) * n * self.z_max ** (n - 1) * FASTEST)
 
 
 def _magnitude(x: Array) -> Array:
-    """Returns |x|; of a complex step that of its real part, so that the derivative stays."""
+    """Returns |x|. For a complex step, the sign is that of the real part, so that the derivative is correct."""
     return np.abs(x) if np.isrealobj(x) else np.where(np.real(x) < 0, -x, x)

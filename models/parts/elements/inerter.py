@@ -12,7 +12,7 @@ from models.parts.part import Number, Part
 
 @dataclass(frozen=True)
 class Inerter(Part, Section):
-    """Inerter of a suspension."""
+    """Inerter between body and wheel."""
 
     stores = True
 

@@ -1,6 +1,6 @@
-"""Maxwell element: a spring in series with a damper, as of a top mount, or of a damper in elastic bushings.
+"""Maxwell element: a spring in series with a damper, as in a top mount, or in a damper with elastic bushings.
 
-With the extension x of the spring, and v - x' the velocity of the damper, both have the same force,
+The spring has the extension x, and the damper has the velocity v - x'. Both have the same force,
 
     F = k x = c (v - x').
 """

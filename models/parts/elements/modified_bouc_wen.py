@@ -1,12 +1,13 @@
 """Modified Bouc-Wen model of a magnetorheological damper (Spencer, Dyke, Sain and Carlson, 1997).
 
-With the extension y of a dashpot c1, in series with all else but the accumulator's spring k1,
+The dashpot c1 with the extension y is in series with all other elements, except the spring k1 of the accumulator:
 
     F = c1 y' + k1 d,    (c0 + c1) y' = alpha z + c0 v + k0 (d - y),
-    z' = A (v - y') - gamma |v - y'| |z|^(n-1) z - beta (v - y') |z|^n,
+    z' = A (v - y') - gamma |v - y'| |z|^(n-1) z - beta (v - y') |z|^n.
 
-with gamma and beta as in the paper: Wen's have the other names. At a voltage u, alpha, c0 and c1 are alpha + alpha_per_volt u and
-so on. The force of the accumulator at equilibrium, k1 x0 in the paper, is part of the static load, and x0 no key.
+The names gamma and beta are those of this paper; in Wen's paper, they are exchanged. A voltage u changes alpha, c0 and c1 to
+alpha + alpha_per_volt u, c0 + c0_per_volt u and c1 + c1_per_volt u. The force of the accumulator in equilibrium (k1 x0 in the
+paper) is part of the static load, so there is no key x0.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from models.parts.part import Number
 
 @dataclass(frozen=True)
 class ModifiedBoucWen(Hysteretic, Section):
-    """Damper with hysteresis, a dashpot in series and an accumulator."""
+    """Hysteretic damper with a dashpot in series and an accumulator."""
 
     states = (
         Signal("dashpot_extension", "y", "m", "extension of the dashpot c1"),

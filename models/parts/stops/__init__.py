@@ -1,1 +1,1 @@
-"""Bump stops: their keys and tables in files, their force, and the parts that they become."""
+"""Bump stops: keys and tables in vehicle files, forces, and the parts of the suspension that represent them."""

@@ -1,10 +1,10 @@
-"""Hydraulic bump stop: a spring beyond its stroke, and a damper that resists further compression the more, the deeper it is.
+"""Hydraulic bump stop: a spring that acts beyond its stroke, and a damper whose coefficient grows with the compression.
 
-With the compression x of the stop, which begins at its stroke, and its rate w while it grows,
+The compression x of the stop begins at its stroke. While the compression grows at the rate w, the force is
 
     F = x (k + c w).
 
-The hydraulic chamber gives no force as the stop opens.
+While the stop opens, the hydraulic chamber gives no force, so F = k x.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from models.parts.part import BUMP_STOP, Limit, Part
 
 @dataclass(frozen=True)
 class HydraulicStop(Part, Section):
-    """Hydraulic bump stop on the side of bump."""
+    """Hydraulic bump stop, in compression of the suspension only."""
 
     contact = True
 
@@ -36,7 +36,7 @@ class HydraulicStop(Part, Section):
         return self.stiffness * np.square(np.maximum(-d - self.stroke, 0.0)) / 2
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the stroke."""
+        """Returns the stroke as the limit of the linear range."""
         return (Limit(BUMP_STOP, "deflection", -1.0, self.stroke),)
 
     @property

@@ -1,7 +1,7 @@
 """Bump stops of a suspension: `[limits] suspension_stroke` and `stop_stiffness`.
 
-A stop begins at the end of its stroke and pushes back, see `models.parts.stops.stop`. MuJoCo's springs have a dead band and
-a polynomial, so that a stop without a table is one of these.
+A stop begins at the end of its stroke and then pushes back, see `models.parts.stops.stop`. A spring of MuJoCo can have a dead
+band and a polynomial force, so it can represent a stop without a table.
 """
 
 import math
@@ -21,7 +21,7 @@ from models.parts.stops.stop import SLACK, Stop, StopTable, pair_words
 
 @dataclass(frozen=True)
 class Stops(Part):
-    """Bump stops of a suspension, one for each side."""
+    """Bump stops of a suspension, one on each side."""
 
     contact = True
     stores = True
@@ -33,7 +33,7 @@ class Stops(Part):
 
     @property
     def sides(self) -> dict[str, tuple[float, Stop]]:
-        """Returns sign of the deflection and stop of each side that has one, by `SIDES`."""
+        """Sign of the deflection and stop of each side that has a stop, by name of the side (`SIDES`)."""
         both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
         return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
 
@@ -42,7 +42,7 @@ class Stops(Part):
 
     @property
     def is_nonlinear(self) -> bool:
-        """True if they push back at all."""
+        """True if any of the stops gives a force."""
         return self.bump.pushes or self.rebound.pushes
 
     def pull(self, d: Array, v: Array, z: Any = None, u: Any = 0.0) -> Array:
@@ -52,17 +52,18 @@ class Stops(Part):
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(d)), np.zeros_like(d))
 
     def limits(self) -> Sequence[Limit]:
-        """Returns the strokes."""
+        """Returns the strokes as limits of the linear range."""
         return [Limit(BUMP_STOP, "deflection", sign, stop.stroke) for sign, stop in self.sides.values()]
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
-        """Returns sign, stop and how far it is compressed [m] for each side that has one."""
+        """Returns the sign of the deflection, the stop and its compression [m], for each side that has a stop."""
         return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
 
     def write(self, tendon: Tendon) -> None:
-        """Writes springs with a dead band of the stroke; a stop with a table is the pieces of its curve. See `Part.write`.
+        """Writes the stops as springs whose dead band is the stroke, or as segments of a table. See `Part.write`.
 
-        One spring replaces both if its force is odd, without x^2. Else each is a spring that is slack to the other side.
+        If both sides have the same odd force (no x^2 term), one spring represents both. Otherwise each side has a spring that
+        is slack on the other side.
         """
         bump, rebound = self.bump.stiffness, self.rebound.stiffness
         low, high = tendon.rest - self.bump.stroke, tendon.rest + self.rebound.stroke
@@ -77,7 +78,7 @@ class Stops(Part):
                 tendon.add_pieces(f"stop_{side}", pieces)
             else:
                 first, second, third = stop.stiffness
-                # Beyond the bump's end the spring's x is below 0.
+                # Beyond the end of the bump stroke, x of the spring is negative.
                 slack = (low, SLACK) if sign < 0 else (-SLACK, high)
                 tendon.add_spring(f"stop_{side}", slack, (first, sign * second, third))
 
@@ -87,6 +88,6 @@ class Stops(Part):
 
     @classmethod
     def of(cls, vehicle: Any, place: Suspension) -> Iterator[tuple[Part, str]]:
-        """Yields the stops of a suspension, from `[limits]`."""
+        """Yields the stops of a suspension as given in `[limits]`."""
         if (own := vehicle.limits.stops_at(place.corner)) is not None:
             yield cls(*own), ""

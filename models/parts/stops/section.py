@@ -1,4 +1,4 @@
-"""Keys of bump stops in `[limits]` and in sections of corners; what they mean is in `models.parts.stops.stop`."""
+"""Keys of bump stops in `[limits]` and in its sections for corners; `models.parts.stops.stop` explains their meaning."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from models.common.errors import InputError, short_repr
 from models.common.extensions import FEATURES
 from models.common.schema import HERE, SI, SMALLEST, Key, Section, below, json_schema
 
-MOST = 3  # coefficients, as MuJoCo's polynomial springs have
+MOST = 3  # number of coefficients; MuJoCo's polynomial springs also have three
 
 
 @dataclass(frozen=True)
 class StopPair:
-    """Different values for bump and rebound; None of a side without a stop."""
+    """Different values for bump and rebound. None is the value of a side without a stop."""
 
     bump: Any
     rebound: Any
@@ -22,7 +22,7 @@ class StopPair:
 
 @dataclass(frozen=True)
 class OfSides(Key):
-    """A value for both sides, or one for each side: { bump = ..., rebound = ... }; an omitted side has no stop."""
+    """A value for both sides, or { bump = ..., rebound = ... } with a value for each side. An omitted side has no stop."""
 
     one: Key
     meaning: str = ""
@@ -31,10 +31,10 @@ class OfSides(Key):
         object.__setattr__(self, "unit", self.one.unit)
 
     def read(self, value: Any, context: Mapping[str, Any]) -> Any:
-        """Returns the value, or a `StopPair`."""
+        """Returns the value for both sides, or a `StopPair`."""
         if not isinstance(value, Mapping) or {"force", "file"} & set(value):
             return self.one.read(value, context)
-        given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
+        given = {side: one for side, one in value.items() if one is not None}  # a log contains null for a side without a stop
         if not given or not set(given) <= set(SIDES):
             raise InputError(
                 f"{HERE} = {short_repr(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a "
@@ -44,14 +44,14 @@ class OfSides(Key):
 
     @property
     def json(self) -> Mapping[str, Any]:
-        """The JSON schema of the value, and of one for each side."""
+        """The JSON schema of a value for both sides, or of a value for each side."""
         one = dict(self.one.json)
         return {"anyOf": [one, {"type": "object", "properties": dict.fromkeys(SIDES, one), "additionalProperties": False}]}
 
 
 @dataclass(frozen=True)
 class StopStiffness(Key):
-    """A stiffness, up to three coefficients, or a table of force over compression."""
+    """A stiffness, a list of up to three coefficients, or a table of force over compression."""
 
     meaning: str = ""
     unit: str = "N/m"
@@ -76,7 +76,7 @@ class StopStiffness(Key):
         number = SI(self.unit).json
         several = {"type": "array", "items": SI(self.unit, low=0.0).json, "minItems": 1, "maxItems": MOST}
         table = json_schema(FEATURES.load("curves in files").StopTableSection)
-        return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}  # or a file
+        return {"anyOf": [number, several, table, {"type": "string", "pattern": r"\.\w+$"}]}  # a file name is also allowed
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
-"""Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
+"""Bump stops in `[limits]` of a vehicle file: linear or progressive, for both sides or each side, per corner or axle.
 
-A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if compressed by x: the stiffness of
-rubber grows. One number is a linear stop, a list of up to three numbers a progressive one, a table has the force at each point,
-and {bump, rebound} has one for each side. An omitted side has no stop.
+A stop begins at the end of its stroke. If it is compressed by x, it pushes back with x (k_1 + k_2 x + k_3 x^2), because the
+stiffness of rubber grows with compression. One number is the stiffness of a linear stop. A list of up to three numbers
+describes a progressive stop, and a table gives the force at each point. The form {bump, rebound} gives a value for each side;
+an omitted side has no stop.
 
-The table of a side with a stroke is over the compression of the stop. That of a side without one is over the compression of the
-suspension, and its force is 0 up to the stop. For rebound, negative compressions are the stop's, unless the table has none.
+If a side has a stroke, the argument of its table is the compression of the stop. Otherwise the argument is the compression of
+the suspension, and the force is 0 up to the stop. The rebound stop uses the negative compressions of the table, if it has any.
 
-A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
-leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
+A section of `[limits]` has the name of a corner, or the common beginning of several names: `rear` means rear_left and
+rear_right. A key that is missing in a section is taken from the section for more corners. For example, `[limits.rear]` may have
+its own stroke and use the common stiffness.
 """
 
 import math
@@ -28,19 +30,19 @@ from models.parts.stops.section import MOST, StopPair, StopSection
 if TYPE_CHECKING:
     from models.characteristics.curve import ForceCurve
 
-SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
-ROUNDING = 1e-9  # of the largest force of a table: less is 0
+SLACK = 1e3  # m; larger strokes are not allowed, because no suspension has that much travel
+ROUNDING = 1e-9  # relative to the largest force of a table; smaller forces count as 0
 
 
 @dataclass(frozen=True)
 class StopTable:
-    """Force of a stop at some points, straight between them and beyond the last one.
+    """Force of a stop at given points. The force is interpolated linearly, and extrapolated with the last slope.
 
     Attributes:
         compression: compression of the stop or of the suspension, ascending [m].
-        force: positive if it pushes back in compression [N].
-        fit_error: largest error of fewer points, over the largest force; None for the usual one.
-        note: remark of the table, a phrase.
+        force: force at each point [N], positive if it resists compression.
+        fit_error: largest error of an approximation with fewer points, relative to the largest force; None for the default.
+        note: remark about the table, a phrase.
     """
 
     compression: tuple[float, ...]
@@ -53,7 +55,7 @@ class StopTable:
 
     @cached_property
     def curve(self) -> "ForceCurve":
-        """The force over the compression of the stop, 0 before its first point."""
+        """The force over the compression of the stop, 0 before the first point."""
         from models.characteristics.curve import ForceCurve
         from models.characteristics.curve_reading import as_lines
 
@@ -63,15 +65,15 @@ class StopTable:
 
 @lru_cache(maxsize=64)
 def stop_of(table: StopTable, sign: float, stroke: float | None) -> "Stop | None":
-    """Returns the stop of a side from a table; None if a table without a stroke has no force there.
+    """Returns the stop of one side from a table; None if the table has no stroke and contains no force on this side.
 
     Args:
-        table: table over the compression of the stop, or of the suspension without a stroke.
-        sign: sign of the side's deflection.
-        stroke: travel to the beginning of the stop [m]; None if the table contains it.
+        table: table over the compression of the stop or, without a stroke, of the suspension.
+        sign: sign of the deflection on this side.
+        stroke: travel to the beginning of the stop [m]; None if the table contains this travel.
 
     Raises:
-        InputError: the stop touches at rest, or elsewhere than the stroke says, or it pulls.
+        InputError: the stop touches in equilibrium, begins at another travel than the stroke, or has a force that pulls.
     """
     u, force = np.array(table.compression), np.array(table.force)
     if sign > 0 and (stroke is None or (force < 0)[u < 0].any()):
@@ -109,10 +111,10 @@ Stiffness = float | tuple[float, ...] | StopTable
 
 @dataclass(frozen=True)
 class Stop:
-    """Bump stop of one side.
+    """Bump stop on one side.
 
     Attributes:
-        stroke: travel from rest to its beginning [m]; infinite without a stop.
+        stroke: travel from equilibrium to the beginning of the stop [m]; infinity without a stop.
         stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3], or the table of its force.
     """
 
@@ -121,11 +123,11 @@ class Stop:
 
     @property
     def pushes(self) -> bool:
-        """True if it pushes back at all."""
+        """True if the stop gives any force."""
         return isinstance(self.stiffness, StopTable) or any(self.stiffness)
 
     def at_wheel(self, ratio: float) -> "Stop":
-        """Returns the stop at the wheel: r times its force at r times the compression there."""
+        """Returns the equivalent stop at the wheel: r times the force at r times the compression, with the motion ratio r."""
         law = self.stiffness
         if isinstance(law, StopTable):
             both = (law.compression, 1 / ratio), (law.force, ratio)
@@ -135,21 +137,21 @@ class Stop:
         return Stop(self.stroke / ratio, (first * ratio**2, second * ratio**3, third * ratio**4))
 
     def acts(self, beyond: Array) -> Array:
-        """Returns its force [N] at a compression [m], shape (...)."""
+        """Returns the force of the stop [N] at a compression [m], shape (...)."""
         if isinstance(self.stiffness, StopTable):
             return self.stiffness.curve(beyond)
         first, second, third = self.stiffness
         return beyond * (first + beyond * (second + beyond * third))
 
     def work(self, beyond: Array) -> Array:
-        """Returns its stored energy [J] at a compression [m], shape (...)."""
+        """Returns the energy stored in the stop [J] at a compression [m], shape (...)."""
         if isinstance(self.stiffness, StopTable):
             return self.stiffness.curve.work(beyond)
         first, second, third = self.stiffness
         return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
 
 
-BumpAndRebound = tuple[Stop, Stop]  # of bump and rebound; the stroke of a side without a stop is infinite
+BumpAndRebound = tuple[Stop, Stop]  # stops in bump and rebound; the stroke of a side without a stop is infinite
 
 
 def pair_words(pair: BumpAndRebound) -> str:
@@ -169,10 +171,14 @@ def pair_words(pair: BumpAndRebound) -> str:
 
 
 def stops(stroke: float | StopPair | None, stiffness: Stiffness | StopPair) -> BumpAndRebound:
-    """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`.
+    """Returns the stops of a suspension in bump and rebound.
+
+    Args:
+        stroke: stroke of both sides, or of each side [m].
+        stiffness: stiffness, coefficients or table of both sides, or of each side.
 
     Raises:
-        InputError: a table is not that of a stop; see `stop_of`.
+        InputError: a table is not valid for a stop; see `stop_of`.
     """
     both = []
     for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
@@ -202,7 +208,7 @@ def _of_side(value: Any, side: str) -> Any:
 
 
 def read_stop_table(value: Mapping[str, Any]) -> StopTable:
-    """Returns the table of a stop in a vehicle file; `HERE` stands for its key in messages."""
+    """Returns the table of a stop in a vehicle file. Messages contain `HERE` instead of its key."""
     from models.characteristics.curve_reading import StopTableSection
 
     given = read(HERE, StopTableSection, value)
@@ -210,25 +216,26 @@ def read_stop_table(value: Mapping[str, Any]) -> StopTable:
     if not force.any():
         raise InputError(f"{HERE} has a table without a force against bump or rebound")
     if x[-1] < 0 and not force[-1]:
-        x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop that begins with contact
+        x, force = np.append(x, 0.0), np.append(force, 0.0)  # a rebound stop whose table begins with the contact
     table = StopTable(tuple(x.tolist()), tuple(force.tolist()), given.fit_error, given.note)
     with error_in(f"{HERE}:"):
-        _ = table.curve if x[-1] >= 0 else None  # it can be fewer lines
+        # Raises an InputError if the table cannot be approximated by few enough segments
+        _ = table.curve if x[-1] >= 0 else None
     return table
 
 
 def holds(place: str, corner: str) -> bool:
-    """Returns True if a corner belongs to the place of that name: a corner, an axle, or with an empty name all corners."""
+    """Returns True if a corner belongs to a place: a corner, an axle, or all corners if the name of the place is empty."""
     return not place or f"{corner}_".startswith(f"{place}_")
 
 
 def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[str]) -> dict[str, StopSection]:
-    """Returns the stops of sections of corners and axles, by name.
+    """Returns the stop sections of corners and axles, by name.
 
     Args:
-        common: keys of stops of all suspensions.
+        common: keys of bump stops for all suspensions.
         own: sections of corners and axles.
-        corners: names of the suspensions' corners; empty for a single suspension.
+        corners: names of the corners with suspensions; an empty name for a single suspension.
 
     Raises:
         InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
@@ -256,20 +263,20 @@ def read_places(common: StopSection, own: Mapping[str, Any], corners: Sequence[s
 
 
 def places_of(corners: Sequence[str]) -> tuple[str, ...]:
-    """Returns the possible names of sections: corners, and common beginnings of their names."""
+    """Returns the allowed names of sections: the corners, and the common beginnings of their names."""
     parts = [corner.split("_") for corner in corners if corner]
     return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
 
 
 def stops_at(places: Mapping[str, StopSection], corner: str) -> BumpAndRebound | None:
-    """Returns the stops of a corner, or None if it has none. Without a stiffness they push back with nothing."""
+    """Returns the stops of a corner, or None if it has no stops. A stop without a stiffness gives no force."""
     stroke, stiffness = (_corner_key(places, corner, key) for key in STOP_KEYS)
     pair = stops(stroke, stiffness or 0.0)
     return pair if any(math.isfinite(stop.stroke) for stop in pair) else None
 
 
 def stop_words(by_corner: Mapping[str, BumpAndRebound | None]) -> list[str]:
-    """Describes stops by corner, with one phrase for all corners with equal stops."""
+    """Describes stops, with one phrase for all corners that have equal stops."""
     alike: dict[BumpAndRebound, list[str]] = {}
     for corner, stops in by_corner.items():
         if stops is not None:
@@ -278,7 +285,7 @@ def stop_words(by_corner: Mapping[str, BumpAndRebound | None]) -> list[str]:
 
 
 def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
-    """Names some corners by the shortest names that fit them alone."""
+    """Returns the shortest names of places that contain exactly the given corners."""
     if len(corners) == len(corners_of_vehicle):
         return ""
     names = []
@@ -290,6 +297,9 @@ def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
 
 
 def _corner_key(places: Mapping[str, StopSection], corner: str, key: str) -> Any:
-    """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
+    """Returns the value of a key for the stops of a corner, from the section with the fewest corners that has this key.
+
+    Returns None if no section has the key.
+    """
     values = {name: value for name, one in places.items() if holds(name, corner) and (value := getattr(one, key)) is not None}
     return values.get(max(values, key=len, default=""))

@@ -1,4 +1,7 @@
-"""Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file over time, as on a command line, in a campaign file or a log."""
+"""Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file with values over time.
+
+Command lines, campaign files and logs contain these texts.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,17 +21,19 @@ from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
 MOST_ROWS = 20_000
-LARGEST = 1e9  # N, N m, s
+LARGEST = 1e9  # N, N m, s: largest allowed values
 GIVE = "give a .csv file with the heading time [s] and at least one of heave [N], pitch [N m], roll [N m]"
 
 
 @dataclass(frozen=True, eq=False)
 class History(Load):
-    """Load with straight lines between points. Before the first point it is 0, or the first value from 0 s on; after the last it
-    stays.
+    """Load from a file, interpolated linearly between points.
+
+    Before the first point, the load is 0; a load that begins after 0 s must begin with the value 0. After the last point, the
+    load keeps its last value.
 
     Attributes:
-        source: the file's name.
+        source: name of the file.
         time: times of the points [s], ascending, shape (K,).
         columns: values of the load [N, N m] by heading, each of shape (K,).
     """
@@ -39,29 +44,29 @@ class History(Load):
 
     @property
     def text(self) -> str:
-        """The file's name and its numbers, every digit, as rows of CSV with `;` between them."""
+        """Name of the file and all numbers, exact, as rows of a CSV file separated by `;`."""
         heading = ",".join(["time [s]", *(f"{name} [{'N' if name == 'heave' else 'N m'}]" for name in self.columns)])
         rows = zip(self.time.tolist(), *(column.tolist() for column in self.columns.values()), strict=True)
         return ";".join([self.source, heading, *(",".join(map(repr, row)) for row in rows)])
 
     @property
     def content(self) -> str:
-        """Its numbers."""
+        """All numbers, without the name of the file."""
         return self.text.partition(";")[2]
 
     @property
     def label(self) -> str:
-        """The file's name."""
+        """Name of the file."""
         return self.source
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """All points."""
+        """Times of all points [s]."""
         return tuple(self.time.tolist())
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of its columns' loads."""
+        """Names of the loads in the columns."""
         return tuple(NAMES[name] for name in self.columns)
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
@@ -69,19 +74,19 @@ class History(Load):
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns means over the steps, as points may be closer."""
+        """Returns the means over the steps, because a step may contain several points; see `Load`."""
         return {
             NAMES[name]: means(lambda at, column=column: np.interp(at, self.time, column), self.time, t, timestep)
             for name, column in self.columns.items()
         }
 
     def scaled(self, factor: float) -> "History":
-        """Returns the history larger or smaller."""
+        """Returns the load with all values multiplied by a factor."""
         return replace(self, columns={name: factor * column for name, column in self.columns.items()})
 
 
 def check_file_name(path: Path | str) -> str:
-    """Returns a file's name for a description, without `;` and ` + `, which separate parts there."""
+    """Returns the name of a file for a description. Texts that separate parts of a description, `;` and ` + `, are replaced."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
 
@@ -115,10 +120,11 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     """Returns a load from its text.
 
     Args:
-        folder: base of relative file names.
+        text: text of the load, or name of a file.
+        folder: folder to which file names are relative.
 
     Raises:
-        InputError: an unknown kind or name, a value that is not allowed, or a file that is not a load.
+        InputError: a name is unknown, a value is not allowed, or a file does not contain a load.
     """
     if is_load_file(text):
         path = path_from(text.strip(), folder)
@@ -131,7 +137,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
 
 
 def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
-    """Returns loads from their texts in a log; reads no file.
+    """Returns loads from their texts in a log, without reading files.
 
     Raises:
         InputError: a text is not a load.

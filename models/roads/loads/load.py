@@ -1,14 +1,14 @@
 """Loads on the body over time: external forces and moments.
 
 The vehicle model drives straight ahead. Braking, cornering, payload and wind therefore act as equivalent loads at the centre of
-mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions are
-up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
+mass of the body (d'Alembert forces): a vertical force F, a pitch moment M_pitch and a roll moment M_roll. Positive directions
+are up, nose down and right side down. For a sprung mass m_s with its centre of mass at height h above the ground:
 
     braking at a:          M_pitch = m_s a h,     cornering left at a:   M_roll = m_s a h
     payload m at (x, y):   F = -m g,   M_pitch = m g x,   M_roll = -m g y
 
-The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight, not inertia. By default,
-springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
+The payload position (x forward, y to the left) is relative to the centre of mass. A payload adds weight, not inertia. By
+default, springs and tyres carry every moment, and the body turns by M / K. A vehicle file can define suspension links instead
 (`models/kinds/links.py`). Their share of braking, cornering and gusts, and the inertia of the wheels, then act on the wheels.
 """
 
@@ -36,12 +36,12 @@ Y = Annotated[float, SI("m", "place, to the left of the body's centre of mass", 
 
 
 class Load(ABC):
-    """Load over time, on any vehicle."""
+    """Load over time that can act on any vehicle."""
 
     @property
     @abstractmethod
     def text(self) -> str:
-        """The text that chooses it, with every digit."""
+        """Text that defines the load, with exact numbers."""
 
     @property
     def content(self) -> str:
@@ -50,7 +50,7 @@ class Load(ABC):
 
     @property
     def label(self) -> str:
-        """The text for people: for a file its name alone."""
+        """The text for output; only the file name for a load from a file."""
         return self.text
 
     @property
@@ -61,20 +61,27 @@ class Load(ABC):
     @property
     @abstractmethod
     def directions(self) -> tuple[str, ...]:
-        """Names of the body's loads that it acts on."""
+        """Names of the body loads to which this load contributes."""
 
     @abstractmethod
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns its force [N] and moments [N m] at times t [s], by the names of the loads that it makes.
+        """Returns force [N] and moments [N m] at times t [s], by the names of the body loads.
 
         Args:
             t: times [s].
-            p: parameters of the vehicle, by name [SI].
-            kind: kind of the vehicle, whose links may carry part of the load to the wheels; None for the force and moments alone.
+            p: parameters of the vehicle [SI], by name.
+            kind: vehicle type, whose links may transmit part of the load to the wheels; None for the force and moments alone.
         """
 
     def step_means(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns what physics holds over steps, by their middle times t [s], see `at`: the values at t."""
+        """Returns the load that MuJoCo holds over time steps: by default, the values in the middle of each step.
+
+        Args:
+            t: middle times of the steps [s].
+            timestep: length of a step [s].
+            p: parameters of the vehicle [SI], by name.
+            kind: vehicle type, as in `at`.
+        """
         return self.at(t, p, kind)
 
     @abstractmethod
@@ -84,20 +91,20 @@ class Load(ABC):
 
 @dataclass(frozen=True)
 class RampedLoad(Section, Load):
-    """Load that rises, stays and falls: half periods of a cosine up and down.
+    """Load that rises, stays constant and falls. Rise and fall are half periods of a cosine.
 
     Raises:
-        InputError: a number out of its range, or in a unit of another dimension.
+        InputError: a number is out of its range, or has a unit of another dimension.
     """
 
     kind: ClassVar[str]
-    size: ClassVar[str]  # name of the field that a factor on the load multiplies
+    size: ClassVar[str]  # name of the field that `scaled` multiplies
 
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind} ")
 
     def scaled(self, factor: float) -> Self:
-        """Returns the load larger or smaller."""
+        """Returns the load multiplied by a factor."""
         return replace(self, **{self.size: getattr(self, self.size) * factor})
 
     @property
@@ -107,27 +114,32 @@ class RampedLoad(Section, Load):
 
     @abstractmethod
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns its largest values, by the names of the body's loads [N, N m]."""
+        """Returns the largest values of the load [N, N m], by the names of the body loads."""
 
     @property
     def text(self) -> str:
-        """Kind and numbers; an infinite hold is left out."""
+        """Type and numbers of the load; an infinite hold is omitted."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Ends of the ramps."""
+        """Times of the ends of rise and fall [s]."""
         start, rise, hold = self._history
         going = start + rise + hold
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns way, force and acceleration as `VehicleKind.carried` takes them; None for a load that links do not feel."""
+        """Returns the horizontal force behind this load, for the suspension links.
+
+        Returns:
+            Name of the body load, force on the body [N], and acceleration of the wheels [m/s2], as `VehicleKind.carried` takes
+            them. None if the load does not act on the links.
+        """
         return None
 
     def at(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
-        """Returns the amplitudes over time; see `Load`."""
+        """Returns the amplitudes times the time function; see `Load`."""
         full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
         if kind is not None and pushing is not None:
             for name, value in kind.carried(p, *pushing).items():
@@ -139,16 +151,16 @@ class RampedLoad(Section, Load):
         return {name: amplitude * share for name, amplitude in full.items()}
 
 
-MOMENT_PARAMETERS = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
+MOMENT_PARAMETERS = ("sprung_mass", "centre_height")  # parameters that determine the moment due to an acceleration
 
 
 def _mass(p: Parameters) -> float:
-    """Returns the mass of the body and of a seat, which is at the height of the body's centre of mass [kg]."""
+    """Returns the mass of the body and of a seat [kg]. The seat is at the height of the body's centre of mass."""
     return p["sprung_mass"] + p.get("seat_mass", 0.0)
 
 
 class _Inertial(RampedLoad):
-    """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
+    """Load due to the vehicle's own acceleration: the inertial force of the body acts at the height of its centre of mass."""
 
     way: ClassVar[str]
     size: ClassVar[str] = "g"
@@ -156,11 +168,11 @@ class _Inertial(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of its moment."""
+        """Name of the moment."""
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns one moment, m_s a h [N m]."""
+        """Returns the moment m_s a h [N m]."""
         if absent := [name for name in MOMENT_PARAMETERS if name not in p]:
             raise InputError(
                 f"load {self.kind} needs {' and '.join(map(repr, MOMENT_PARAMETERS))} for its moment, but this vehicle has no "
@@ -169,13 +181,13 @@ class _Inertial(RampedLoad):
         return {self.way: _mass(p) * GRAVITY * self.g * p["centre_height"]}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the force of the body's mass, and the acceleration."""
+        """Returns the inertial force of the body, and the acceleration."""
         return self.way, _mass(p) * GRAVITY * self.g, GRAVITY * self.g
 
 
 @dataclass(frozen=True)
 class Brake(_Inertial):
-    """Braking; below 0 it is acceleration, and the body squats."""
+    """Braking. A negative deceleration is an acceleration, at which the body squats."""
 
     kind: ClassVar[str] = "brake"
     way: ClassVar[str] = PITCH
@@ -187,7 +199,7 @@ class Brake(_Inertial):
 
 @dataclass(frozen=True)
 class Cornering(_Inertial):
-    """Curve to the left, which rolls the body to the right; below 0 to the right."""
+    """Cornering to the left, which rolls the body to the right. A negative acceleration is cornering to the right."""
 
     kind: ClassVar[str] = "corner"
     way: ClassVar[str] = ROLL
@@ -198,25 +210,28 @@ class Cornering(_Inertial):
 
 
 def _vertical_force(force: float, x: float, y: float) -> dict[str, float]:
-    """Returns a vertical force [N] at a place [m] with its moments; without zero ones, as some vehicles have no such motion."""
+    """Returns a vertical force [N] at a position [m], and its moments.
+
+    Zero moments are omitted for vehicles without pitch or roll.
+    """
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
 
 class _PlacedLoad(RampedLoad):
-    """Load by a vertical force at a place on the body."""
+    """Load due to a vertical force at a position on the body."""
 
     x: float
     y: float
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Names of its force and moments."""
+        """Names of the force and of its moments."""
         return tuple(_vertical_force(1.0, self.x, self.y))
 
 
 @dataclass(frozen=True)
 class Payload(_PlacedLoad):
-    """Added weight."""
+    """Additional weight on the body."""
 
     kind: ClassVar[str] = "payload"
     size: ClassVar[str] = "mass"
@@ -228,13 +243,13 @@ class Payload(_PlacedLoad):
     hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns a force down, and its moments."""
+        """Returns a downward force, and its moments."""
         return _vertical_force(-self.mass * GRAVITY, self.x, self.y)
 
 
 @dataclass(frozen=True)
 class Lift(_PlacedLoad):
-    """Aerodynamic lift."""
+    """Aerodynamic lift of the body."""
 
     kind: ClassVar[str] = "lift"
     size: ClassVar[str] = "force"
@@ -246,13 +261,13 @@ class Lift(_PlacedLoad):
     hold: Hold = math.inf
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns a force up, and its moments."""
+        """Returns an upward force, and its moments."""
         return _vertical_force(self.force, self.x, self.y)
 
 
 @dataclass(frozen=True)
 class Gust(RampedLoad):
-    """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right."""
+    """Gust of wind from the left, which rolls the body to the right. By default, it is one period of a cosine."""
 
     kind: ClassVar[str] = "gust"
     size: ClassVar[str] = "force"
@@ -264,15 +279,15 @@ class Gust(RampedLoad):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """Name of its moment."""
+        """Name of the moment."""
         return (ROLL,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """Returns a roll moment."""
+        """Returns the roll moment [N m]."""
         return {ROLL: self.force * self.height}
 
     def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
-        """Returns the force of the wind, which does not push the wheels."""
+        """Returns the force of the wind. It acts on the body, not on the wheels."""
         return ROLL, self.force, 0.0
 
 

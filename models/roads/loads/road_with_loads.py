@@ -1,4 +1,4 @@
-"""Roads with loads on the vehicle's body. Both begin at the same time 0."""
+"""Roads with loads on the vehicle's body. Both begin at time 0."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ WAYS = {HEAVE_LOAD.name: "moves vertically", PITCH_LOAD.name: "pitches", ROLL_LO
 
 @dataclass(frozen=True, eq=False)
 class RoadWithLoads(DerivedRoad):
-    """Road with loads. It has no spectrum: the loads act alike over every road of its class.
+    """Road with loads. It has no spectrum, because the loads are not random.
 
     Attributes:
         on_body: the loads.
@@ -28,7 +28,7 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def from_start(self) -> Road:
-        """The road alone, measured from the steady motion in which the vehicle starts."""
+        """The road without loads, relative to the steady motion in which the vehicle starts."""
         return self.road.from_start
 
     @property
@@ -38,24 +38,24 @@ class RoadWithLoads(DerivedRoad):
 
     @property
     def loaded(self) -> bool:
-        """True."""
+        """True: loads act on the body."""
         return True
 
     @property
     def load_kinks(self) -> tuple[float, ...]:
-        """Kinks of all loads."""
+        """Kinks of all loads [s]."""
         return tuple(sorted({kink for load in self.on_body for kink in load.kinks}))
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
         """Returns the sum of the loads; see `Road`.
 
         Raises:
-            InputError: the vehicle has no such motion.
+            InputError: the vehicle type lacks the motion that a load acts on.
         """
         return self._sum(vehicle, t, lambda load: load.at(t, vehicle.parameters, vehicle.kind))
 
     def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
-        """Returns the sum of the loads that are held; see `Road`."""
+        """Returns the sum of the loads that MuJoCo holds over time steps; see `Road`."""
         return self._sum(vehicle, t, lambda load: load.step_means(t, timestep, vehicle.parameters, vehicle.kind))
 
     def _sum(self, vehicle: Vehicle, t: Array, values_of: Callable[[Load], Mapping[str, Array]]) -> Array:
@@ -74,28 +74,28 @@ class RoadWithLoads(DerivedRoad):
         return total
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the displacement of the road."""
+        """Returns the displacement of the road [m]."""
         return self.road.displacement(t, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the velocity of the road."""
+        """Returns the velocity of the road [m/s]."""
         return self.road.velocity(t, side)
 
     def describe(self) -> dict[str, float | str]:
-        """Returns the road's description, and its loads as texts that choose them again."""
+        """Returns the road's description, and the texts that define its loads."""
         return {**self.road.describe(), "loads": PLUS.join(load.text for load in self.on_body)}
 
     @property
     def words(self) -> str:
-        """Road and loads on a line for people."""
+        """Road and loads as one line of text."""
         return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
     def scaled(self, factor: float) -> "RoadWithLoads":
-        """Returns road and loads multiplied by a factor."""
+        """Returns the road and its loads, multiplied by a factor."""
         return RoadWithLoads(self.road.scaled(factor), tuple(load.scaled(factor) for load in self.on_body))
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Checks that the vehicle can be driven over the road, and that its body has the loads' motions.
+        """Checks that the road suits the vehicle, and that the vehicle type has the motions that the loads act on.
 
         Raises:
             InputError: the road or a load does not fit the vehicle.
