@@ -251,7 +251,7 @@ class _Search:
                 return SampledNorm(0.0, 0.0, 0.0, np.nan, 0.0)
             upper = level if inside else level * (1 + ABOVE)
             there = self._at(upper)
-            assert there is not None, "a level above one with a discrete plant has one, too"
+            assert there is not None, "every level above a level with a discrete plant has a discrete plant, too"
             gain, higher = self._above(there)
             if gain <= 1:
                 lower = self._at(level * (1 - BELOW))
@@ -274,7 +274,7 @@ class _Search:
             if there is not None:
                 return level, below, there
             below, level = level, 2 * level
-        raise ArithmeticError("the gain of the sampled-data loop within one period has no bound that was found")
+        raise ArithmeticError("no bound was found on the gain of the sampled-data loop within one period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
         """Returns the largest gain of a level and its angle [rad].

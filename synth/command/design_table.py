@@ -321,7 +321,7 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 def _rides(designs: Designs) -> list[Statement]:
     """Returns texts with the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
-    without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
+    without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
         *notes(*without)
     ]

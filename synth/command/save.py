@@ -83,7 +83,7 @@ def saved_text(
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
     """Returns a line that lists the controllers with a preview, which the file omits; empty without such controllers."""
-    return [f"  left out: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
+    return [f"  omitted: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
 def controller_section(

@@ -198,7 +198,7 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
     lowest, where = f"Limit: no controller has a norm below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
     if is_pole(plant, limit.limit_at):  # forces may change everything except this mode
-        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
+        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay by itself."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED_NORM):
         return f"{lowest}: no force changes z at {where}."

@@ -168,7 +168,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
     @property
     def unmet_specifications(self) -> tuple[str, ...]:
         """Texts of the specifications that do not hold, or are not proved."""
-        return tuple(f"specification not kept: {promise.text}" for promise in self.specifications if not promise.holds)
+        return tuple(f"specification not met: {promise.text}" for promise in self.specifications if not promise.holds)
 
     @property
     def failures(self) -> tuple[str, ...]:

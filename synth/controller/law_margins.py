@@ -158,8 +158,8 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
     """Returns a warning about laws that cannot be sampled because of their direct feedback."""
     times = [f"{as_name(name)} {SHARE.digits(one.direct_feedback)} times" for name, one in margins.items() if one.own_force]
     text = (
-        f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. Sampled or late, the force "
-        "grows from sample to sample; lower the gain on accelerations, or filter them."
+        f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. With sampling or delay, the "
+        "force grows from sample to sample; lower the gain on accelerations, or filter them."
     )
     return [text] if times else []
 

@@ -262,7 +262,8 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = list_names([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure {names} have its integral as a state; norms of the sampled loop leave out this integral"
+            f"designs that measure {names} have its integral as a state; norms of the sampled-data loop do not include this "
+            "integral"
         )
     return lines
 
@@ -276,10 +277,10 @@ def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
         return []
     shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
     names = list_names([vehicle.weighted[i].name for i in shows])
-    return [STUDY, *[f"no finite norm: a permanent height of the road causes a permanent {names}"] * bool(shows)]
+    return [STUDY, *[f"no finite norm: a constant road height causes a constant {names}"] * bool(shows)]
 
 
-FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the preview, which changes no pole and no margin"
+FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the preview. The preview changes no pole and no margin"
 
 
 def judged_lines(controller: Controller) -> list[str]:
@@ -313,7 +314,7 @@ def notes(controller: Controller) -> tuple[str, ...]:
         texts.append(f"designed from a state feedback {gap} above its optimum, because the optimum leads to no design")
     if steps is not None and steps.optimum_gap > SHORT:
         gap = percent(steps.optimum_gap)
-        texts.append(f"the bound is {gap} above its optimum, which only gains too large for actuators reach")
+        texts.append(f"the bound is {gap} above its optimum, which only gains that are too large for actuators reach")
     elif steps is not None and steps.moved > SETTLED_CHANGE:
         texts.append(
             f"the gain did not converge: the last step of the central path changed it by {percent(steps.moved)} of its "

@@ -85,7 +85,7 @@ class Barrier:
         G = np.concatenate(rows, axis=1)
         squares = np.einsum("ij,ij->i", G, G)
         if not squares.all():
-            raise np.linalg.LinAlgError("the constraints do not determine every unknown, to rounding")
+            raise np.linalg.LinAlgError("up to rounding, the constraints do not determine every unknown")
         scale = 1 / np.sqrt(squares)
         triangle = lapack.dgeqrf((G * scale[:, None]).T, lwork=PANEL * len(p), overwrite_a=1)[0][: len(p)]
         return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W, numbers)

@@ -215,13 +215,13 @@ class Plant:
     @property
     def plant(self) -> "Plant":
         """Plant without measurements. Deprecated name from `MeasuredPlant`; use the plant itself."""
-        warnings.warn("`plant` goes with the next version; a MeasuredPlant is a plant itself", DeprecationWarning, stacklevel=2)
+        warnings.warn("`plant` will be removed in the next version; use the plant itself", DeprecationWarning, stacklevel=2)
         return self.unmeasured
 
     @property
     def through(self) -> Array:
         """Feedthrough Dyu. Deprecated name from `MeasuredPlant`; use `Dyu`."""
-        warnings.warn("`through` goes with the next version; use Dyu", DeprecationWarning, stacklevel=2)
+        warnings.warn("`through` will be removed in the next version; use Dyu", DeprecationWarning, stacklevel=2)
         return self.Dyu
 
     def rows(self, kept: Sequence[int] | Array) -> "Plant":

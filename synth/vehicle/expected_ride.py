@@ -72,7 +72,7 @@ def no_line(vehicle: Vehicle, controller: Controller) -> str:
     from synth.controller.equivalent_line import without_curve
 
     if curved and (others := without_curve(vehicle)):
-        return f"statistical linearisation is for forces over one signal without a state, unlike {names_text(others)} of [parts]"
+        return f"statistical linearisation requires forces that depend on one signal only, unlike {names_text(others)} of [parts]"
     return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
 
 

@@ -60,7 +60,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     if problem.integrals or problem.of_heights is not None:
         judged = problem.judged(own)
         if judged.with_road_heights is not None:
-            return _without_claims(controller, about, "a lasting height of the road shows in z")
+            return _without_claims(controller, about, "a constant road height affects z")
         plant, gain, k, base = replace(judged.plant, Cy=judged.G.Cy), judged.G.K, judged.law_states, None
         own_states = judged.states
     else:
@@ -86,7 +86,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     if entry is not None and entry.goals is not None and base is not None and not own.states:
         _add_goals(document, vehicle, entry, own.D, names)
     elif controller.specifications:
-        document.leave_out("goals of the section", "this format has the goals of static gains", "none")
+        document.leave_out("goals of the section", "this format supports goals of static gains only", "none")
     return document.record(controller.name, about)
 
 
@@ -161,7 +161,7 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
     bounds = [bound for bound in goals.bounds if isinstance(bound, NormBound)]
     norms = [(goals.minimise, asked.minimise), *zip(bounds, asked.norms, strict=True)]
     if asked.bests is not None or goals.over == REGRET:
-        document.leave_out("largest ratio to a vehicle's own best", "the best of each vehicle is found by a search", "none")
+        document.leave_out("largest ratio to a vehicle's own best", "the optimum of each vehicle comes from a search", "none")
     for i, (member, which) in enumerate(zip(asked.members, verification.names, strict=True)):
 
         def loop(what: str, plant: Plant, of: Vehicle, outputs: list[Signal], which: str = which) -> tuple[str, ExactLoop]:

@@ -65,7 +65,7 @@ def from_state_space(
             if name not in there:
                 raise InputError(f"unknown {what} {name!r}; the system has {list_names(there)}")
     if not disturbances:
-        raise InputError(f"no disturbance is named; give at least one of the inputs {list_names(inputs)}")
+        raise InputError(f"no disturbance is given; give at least one of the inputs {list_names(inputs)}")
     weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
     if not weights:
         raise InputError(f"the weights are all zero; give at least one weight to the outputs {list_names(outputs)}")

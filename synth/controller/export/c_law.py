@@ -63,7 +63,8 @@ class ExportedLaw:
         change: largest change of a force per sample [N]; None without limit.
         delay: delay from a measurement to its output [samples].
         anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
-        dampers: nominal, smallest and largest coefficient of each semi-active damper [N s/m]; empty for force actuators.
+        dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from it [N s/m]; empty
+            for force actuators.
         semi_active: name of the semi-active law; empty for a linear law.
         coefficients: numbers of the semi-active law; None for a linear law.
         modes: number of measurements of body modes, which come before those of the suspensions.

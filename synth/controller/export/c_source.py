@@ -61,12 +61,12 @@ CLIP_FUNCTION = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER
     }
     else
     {
-        /* as it is */
+        /* the value is unchanged */
     }
     return result;
 }
 """
-QUANTISE_FUNCTION = """/* The nearest step, of two the even one; what is too large for a fraction is a step already. */
+QUANTISE_FUNCTION = """/* Rounds to the nearest step, ties to even. A value too large to have a fraction is a step already. */
 static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
 {
     NUMBER count = value / step;
@@ -83,12 +83,12 @@ static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
     }
     else
     {
-        /* as it is */
+        /* the count is unchanged */
     }
     return step * count;
 }
 """
-SUM = """/* Adds a row times a column, from the first entry to the last. */
+SUM = """/* Adds the products of a row and a column, from the first entry to the last. */
 static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, int count)
 {
     TOTAL total = start;
@@ -101,7 +101,7 @@ static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, in
     return total;
 }
 """
-ROUND_FUNCTION = """/* A sum over 2^shift, to the nearest, of two the one away from 0; clipped to +-most. */
+ROUND_FUNCTION = """/* Divides a sum by 2^shift, rounds to the nearest integer (ties away from 0), and clips to +-most. */
 static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
 {
     const int64_t half = (shift > 0) ? ((int64_t)1 << (shift - 1)) : 0;
@@ -117,7 +117,7 @@ static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
     }
     else
     {
-        /* as it is */
+        /* the result is unchanged */
     }
     return (NUMBER)result;
 }
@@ -177,12 +177,12 @@ class CSource:
         ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, self.in_units, strict=True))
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
-        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, undelayed */\n" * (law.change is not None)
+        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, without delay */\n" * (law.change is not None)
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
         if self.fixed is None:
             state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
             state += "    int faults; /* inputs, outputs and states of the last step that were not finite */\n"
-        state = state or "    int unused; /* the law keeps nothing; C99 has no empty struct */\n"
+        state = state or "    int unused; /* the law has no state; C99 has no empty struct */\n"
         include = "" if self.fixed is None else "#include <stdint.h>\n\n"
         if law.period is not None:
             include += f"#define {p.upper()}_SAMPLE_PERIOD {literal(law.numbers, law.period)} /* s */\n\n"
@@ -210,10 +210,10 @@ class CSource:
         text = "\n".join(self._table(name, one) for name, one in tables.items() if one.size)
         if law.dampers:
             dampers = self._table("dampers", np.array(law.dampers))
-            text += f"\n/* nominal, least and largest coefficient beyond it [N s/m] */\n{dampers}"
+            text += f"\n/* nominal coefficient; smallest and largest difference from it [N s/m] */\n{dampers}"
         if (of := self.fixed) is not None:
             row = self._row(of.shifts)
-            text += f"\n/* a row's sum is over 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
+            text += f"\n/* the sum of a row is divided by 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
         ends = () if of is None else (("limit", "forces", of.limit), ("change", "changes of the forces per sample", of.change))
         for name, what, most in ends:
             if most is not None:
@@ -396,7 +396,7 @@ class CSource:
         ins = "\n".join(f"        in.{name} = {read}; at++;" for name in law.inputs)
         outs = "\n".join(f"        differ += (out.{name} != {read}) ? 1L : 0L; at++;" for name in law.outputs)
         longest = 40 * (len(law.inputs) + len(law.outputs)) + 200
-        return f"""/* Runs vectors.csv through the code, back to back: every output must have the bits of the file. */
+        return f"""/* Back-to-back test with vectors.csv: every output must equal the file bit for bit. */
 #include <stdio.h>
 #include <stdlib.h>
 #include "../{p}.h"

@@ -182,10 +182,10 @@ def _faults(law: ExportedLaw) -> str:
         )
     safe = "the nominal coefficient" if law.dampers else "0 N"
     return (
-        "- If an input is NaN or infinite, the step uses the last finite value of this input. Before the first one it uses 0.\n"
+        "- If an input is NaN or infinite, the step uses the last finite value of this input, or 0 before it.\n"
         f"  If a sum overflows, the output is {safe} and the state starts again at 0. No output is ever NaN.\n"
         "- `state.faults` counts the inputs, sums and states of the last step that were not finite. 0 means none. Read it after\n"
-        "  each step, and decide how long to drive on held inputs.\n"
+        "  each step, and decide how long the vehicle may drive with held inputs.\n"
     )
 
 

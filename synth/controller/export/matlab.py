@@ -92,7 +92,7 @@ def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> st
     """Returns MATLAB code that creates `ss` objects of the plant and of each controller, and connects them by signal names."""
     names = struct_names(controllers)
     lines = [
-        f"% Makes ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",
+        f"% Creates ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",
         "% All signals are in SI units and measured from static equilibrium. Feedback is positive: u = K y.",
         f"file = load('{file.replace(QUOTE, 2 * QUOTE)}');",
         *_ss("plant", f"file.{VEHICLE}.model"),

@@ -147,7 +147,7 @@ def cost(
         DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
     """
     if not has_sampled_norm(vehicle, controller):
-        raise DesignError("the loop has no finite norm at any rate, as a permanent height of the road shows in z")
+        raise DesignError("the loop has no finite norm at any rate, because a constant road height affects z")
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
     near, rates = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
     for i, period in enumerate(periods):

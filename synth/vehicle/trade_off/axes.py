@@ -65,7 +65,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
-            f"--front {short_repr(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
+            f"--front {short_repr(text)} has {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
             f"{list_names(AXES)}, separated by colons, such as ride:travel"
         )
     axes: list[FrontAxis] = []
@@ -74,7 +74,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
         if name not in AXES:
             raise InputError(f"--front: there is no axis {short_repr(name)}; give two or three of {list_names(AXES)}")
         if any(axis.name == name for axis in axes):
-            raise InputError(f"--front names {name} twice; give each axis once")
+            raise InputError(f"--front contains {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
             raise InputError(f"--front {part}: {name} takes no value; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
         axes.append(_axis(vehicle, name, given if equals else None))
