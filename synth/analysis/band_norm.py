@@ -1,17 +1,14 @@
 """H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
 The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
-result
-lies between two levels. The gain reaches the lower level at a frequency of the band. No frequency of the band exceeds the upper
-level, which is slightly higher. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian matrix is
-treated as a possible crossing, regardless of its real part. Between two neighbouring crossings, or between a crossing and an
-edge
-of the band, the gain is above the level either everywhere or nowhere.
+result lies between two levels. The gain reaches the lower level at a frequency of the band. No frequency of the band exceeds
+the upper level, which is slightly higher. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian
+matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring crossings, or between a crossing
+and an edge of the band, the gain is above the level either everywhere or nowhere.
 
 **A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
-the
-largest amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but the response to a sinusoid
-does not reach a steady state. The norm of an unstable loop is therefore not an amplification.
+the largest amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but the response to a
+sinusoid does not reach a steady state. The norm of an unstable loop is therefore not an amplification.
 """
 
 from dataclasses import dataclass
@@ -70,8 +67,7 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
         loop: loop in continuous or discrete time; for a plant with a controller, use `plant.closed_loop(...)`.
         low: lower edge of the band, at least 0 [rad/s].
         high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic, so
-            frequencies
-            above pi / dt add nothing.
+            frequencies above pi / dt add nothing.
 
     Returns:
         The norm, its frequency [rad/s] and an upper bound on the gain in the band, as a `BandNorm`.

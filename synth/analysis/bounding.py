@@ -49,8 +49,7 @@ def certify_tightly(
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
     # If the peak is near z = -1, the loop is mapped so that z = -1 becomes 0 instead of infinity. At infinity, the weight of
-    # the
-    # Riccati equation would be singular.
+    # the Riccati equation would be singular.
     near_nyquist, step = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
     loop = FEATURES.load("discrete plants").continuous_loop(plant.closed_loop(G), turned=near_nyquist)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
@@ -80,9 +79,9 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
     X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur complement of
-    (20)
-    with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times a noise. The equation is solved
-    in coordinates in which this noise gives the states the covariance I. The accuracy therefore does not depend on the units.
+    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times a noise. The equation is
+    solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore does not depend on the
+    units.
 
     Args:
         loop: stable loop in continuous time.

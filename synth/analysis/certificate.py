@@ -1,8 +1,7 @@
 """Certificates of gains by the Bounded Real Lemma. They are computed with numpy alone, without the solver that found the gains.
 
 The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feedthrough Dw from w to z (zero in the paper),
-the
-same Schur complement gives
+the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
@@ -15,8 +14,7 @@ For a discrete closed loop, the inequality is
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
 which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is this one. This larger matrix
-is
-the continuous matrix with additional rows and columns, if the plant is written in differences over a step T
+is the continuous matrix with additional rows and columns, if the plant is written in differences over a step T
 (`Plant.differences`), and X T replaces X:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
@@ -26,8 +24,7 @@ the continuous matrix with additional rows and columns, if the plant is written 
 As T decreases, its entries approach those of the continuous matrix. No digits cancel, for example, at a sample rate of 1 kHz.
 
 The LMI is *proved* in exact arithmetic on the given numbers (`analysis/rigorous.py`). This proves that the loop A + B G is
-stable
-and that its norm is below the bound. The norm itself is computed by two methods.
+stable and that its norm is below the bound. The norm itself is computed by two methods.
 """
 
 from collections.abc import Callable
@@ -72,8 +69,7 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
         Y: matrix of shape (m, n).
         eta: gamma^-2.
         step: sample period of a plant in differences [s]; 0 for a continuous plant. With a step, the result has n more rows and
-            n
-            more columns.
+            n more columns.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -196,8 +192,7 @@ class Certificate(ShownResult):
         proof: proof of the bound; None if there is no bound.
         speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
         moves: True if the speed of the plant is the magnitude of its fastest pole. False if all poles are at 0; then the speed
-            is
-            the rate at which motion and driving force have equal weight in z (`units.own_units`).
+            is the rate at which motion and driving force have equal weight in z (`units.own_units`).
         norm_rounding: threshold below which a norm counts as zero, so that its two values need not agree.
         below: proof of the lower bound for controllers of the same type; None if no lower bound was requested.
     """

@@ -3,13 +3,12 @@
 The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
 energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes
 arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. The length
-of
-a vector C x of signals is at most the square root of the largest eigenvalue of C P C'. No bound exists if w has a direct
+of a vector C x of signals is at most the square root of the largest eigenvalue of C P C'. No bound exists if w has a direct
 feedthrough to a signal. A signal may contain control forces.
 
 **The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, slightly larger than P: no peak exceeds (c X c')^1/2. The
-inequality
-is LMI (20) without z, and `certificate.prove_bound` proves it like (20). The value of c X c' is computed in integers.
+inequality is LMI (20) without z, and `certificate.prove_bound` proves it like (20). The value of c X c' is computed in
+integers.
 """
 
 from dataclasses import dataclass, replace

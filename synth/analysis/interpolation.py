@@ -1,12 +1,9 @@
 """Lower bounds on the norm from zeros in the closed right half plane, where no controller changes some directions from w to z.
 
 Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
-loop,
-x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposition gives a second condition.
-At a
-zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y, whatever its order. The
-transfer
-function T from w to z thus satisfies the interpolation conditions
+loop, x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposition gives a second
+condition. At a zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y, whatever its
+order. The transfer function T from w to z thus satisfies the interpolation conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
@@ -18,22 +15,17 @@ A stable T with a norm of at most gamma can satisfy these conditions only if Pic
 Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
 If inputs control some states without cost in z, M - s E is singular at every s. The pairs are therefore computed as [q; p] = N
-k
-with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
+k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
 On the imaginary axis, a single interpolation condition already bounds the norm, by |x_k| / |v_k|. The conditions of the plant
-on
-this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the disturbances that
-do
-not reach y at some frequency, or at infinity.
+on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the disturbances
+that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be near a
-solution,
-let R be near the inverse of the derivative at (k, s), and let the residual include its rounding error. A solution lies within
-the
-radius r if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has several vectors k,
-additional rows select the vector with the largest bound. A value of gamma is excluded if a vector v exists for which v* P v < 0
-for every Pick matrix P within the enclosures.
+solution, let R be near the inverse of the derivative at (k, s), and let the residual include its rounding error. A solution
+lies within the radius r if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has
+several vectors k, additional rows select the vector with the largest bound. A value of gamma is excluded if a vector v exists
+for which v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -87,8 +79,7 @@ def zero_limit(
 
     Args:
         plant: plant of the bound. If the plant has no measurements, all states count as measured, and only zeros from u to z
-            are
-            used.
+            are used.
         inequalities: inequalities of the plant and of the transposed plant, if they are known. The second is None if the
             transposed plant is not used.
     """

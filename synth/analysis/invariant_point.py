@@ -2,8 +2,7 @@
 control.
 
 At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
-of
-this part is a lower bound. For a suspension, it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
+of this part is a lower bound. For a suspension, it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
 The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
 
@@ -116,13 +115,11 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
     The real part of [q; p] is above its imaginary part. For a discrete plant, the point z = (1 + j t) / (1 - j t) is used, with
-    a
-    float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the states are multiplied by 1 - j t.
+    a float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the states are multiplied by 1 - j t.
 
     Returns:
         The real part and the imaginary part of M, up to a common factor, shapes (n + d, n + m). The effects of w on the real
-        part
-        and on the imaginary part of p* z, shape (2 (n + d), 2 r), and the denominator of these effects.
+        part and on the imaginary part of p* z, shape (2 (n + d), 2 r), and the denominator of these effects.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)

@@ -17,17 +17,13 @@ W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the larges
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
 The first entry is the bound for state feedback. No controller has a smaller norm than this bound, even if the controller is
-dynamic
-or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X U') - eta b b')^-1 is a
-dual solution. A point (X, eta) therefore determines a dual solution.
+dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X U') - eta b
+b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
 
 **The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. Any
-factors
-give a valid bound. Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a
-tolerance.
-Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and a proved bound on the
-rounding
-errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
+factors give a valid bound. Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a
+tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and a proved bound
+on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -101,8 +97,7 @@ class SampledBound:
         level: lower bound on the L2 gain.
         proof: lower bound on the norm of the discrete plant of this level.
         inside: True if no such plant exists for the level. Then the gain within one period, before any force responds, is at
-            least
-            `level`.
+            least `level`.
     """
 
     level: float

@@ -1,15 +1,13 @@
 """H-infinity norm (18), computed by two methods that find its peak, and the largest singular value at a frequency.
 
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
-  level
-  (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, except for rounding of eigenvalues.
+  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, except for rounding of
+  eigenvalues.
 - `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each of its values is a
-  gain
-  of the transfer function, so the result never exceeds the norm.
+  gain of the transfer function, so the result never exceeds the norm.
 
 `hinf_norm` uses both methods and returns their difference. The methods find the peak on the imaginary axis (the L-infinity
-norm),
-or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
+norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
 
 Both methods share the transfer function. A modal form of the system, which is cheap to evaluate, only proposes frequencies. The
 returned gains are computed without it, by solving a linear system of equations.
@@ -75,10 +73,8 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
 
     The residual of the linear system is computed with twice the digits, and the solution is corrected until it converges.
-    Source:
-    Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned that a
-    solution
-    in floats has no correct digit.
+    Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
+    that a solution in floats has no correct digit.
 
     Args:
         system: system from w to z, including its low-order digits `beyond`.
@@ -379,8 +375,7 @@ def level_set_norm(system: Plant) -> tuple[float, float]:
     """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
     Eigenvalues only propose frequencies, and the transfer function gives the gains. No tolerance is therefore needed to
-    distinguish
-    an imaginary eigenvalue from an eigenvalue that rounding moved off the axis.
+    distinguish an imaginary eigenvalue from an eigenvalue that rounding moved off the axis.
     """
     return by_level_sets(Gain(system))
 
@@ -414,8 +409,7 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between them. Between two
     neighbouring crossings, the gain is above the level either everywhere or nowhere. If any gain exceeds the level, the gain at
-    one
-    of these frequencies therefore does, too.
+    one of these frequencies therefore does, too.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -426,8 +420,8 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 def level_crossings(system: Plant, level: float) -> Array:
     """Returns the imaginary parts >= 0 of all eigenvalues of the Hamiltonian matrix [rad/s], shape (k,), k >= 1.
 
-    They are in ascending order and begin with 0. They include every frequency at which a singular value of
-    Dw + C (s - A)^-1 Bw equals the level.
+    They are in ascending order and begin with 0. They include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
+    equals the level.
     """
     A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw
     n, (d, r) = len(A), Dw.shape
@@ -445,8 +439,7 @@ def level_crossings(system: Plant, level: float) -> Array:
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
         # Pencil with w and z as unknowns. Eliminating them would be singular if the level is the gain at infinity. The errors
-        # of
-        # the eigenvalues grow with the largest entry. Units of time, states and z (powers of two) make the entries similar.
+        # of the eigenvalues grow with the largest entry. Units of time, states and z (powers of two) make the entries similar.
         rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
         of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))

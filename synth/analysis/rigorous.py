@@ -1,15 +1,13 @@
 """Linear algebra for proofs: exact algebra in integers, and a test of definiteness in floats with bounded rounding errors.
 
 Matrices of integers are numpy arrays of Python integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
-is a
-minor of the matrix, so the size of the integers grows only with the number of rows.
+is a minor of the matrix, so the size of the integers grows only with the number of rows.
 
 The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
 positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
-definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where
-d_j^2 = gamma_j / (1 - gamma_j) M_jj, and gamma_j is about j unit roundoffs. The test never accepts a matrix that is not
-positive
-definite, but it rejects a positive definite matrix that is singular up to rounding.
+definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
+gamma_j) M_jj, and gamma_j is about j unit roundoffs. The test never accepts a matrix that is not positive definite, but it
+rejects a positive definite matrix that is singular up to rounding.
 """
 
 from dataclasses import dataclass
@@ -65,8 +63,7 @@ def span_all(rows: Array, step: Array) -> bool:
     """Returns True only if the rows of rows, rows step, rows step^2, ... span the whole space.
 
     For a plant, this means that the plant is observable. The rank is computed modulo a prime, and it never exceeds the true
-    rank.
-    True is therefore a proof, but False may be a coincidence.
+    rank. True is therefore a proof, but False may be a coincidence.
 
     Args:
         rows: matrix of integers, shape (d, n).

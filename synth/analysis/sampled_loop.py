@@ -6,8 +6,7 @@ Over a period of T seconds, z and w are functions of time. For a level gamma, th
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
 Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
-z_d
-is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs as constant states, and w in units of gamma,
+z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs as constant states, and w in units of gamma,
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
@@ -17,16 +16,13 @@ if S22 is regular for all times in (0, T]. Otherwise, the gain within one period
 respond.
 
 S itself grows without bound as the period grows. Therefore, Ad, Bd Bd' and Cd' Cd are computed for a short time first. This
-time
-is then doubled repeatedly. Two consecutive intervals combine to
+time is then doubled repeatedly. Two consecutive intervals combine to
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
 with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval is regular if and only if both intervals are regular and Bd1 Bd1'
-Cd2' Cd2
-has no eigenvalue of 1 or more. No digits cancel. The code computes Ad - I instead of Ad, because Ad - I is small at a fast
-sample
-rate.
+Cd2' Cd2 has no eigenvalue of 1 or more. No digits cancel. The code computes Ad - I instead of Ad, because Ad - I is small at a
+fast sample rate.
 """
 
 import math
@@ -203,8 +199,7 @@ class SampledLoop(CheckedFields):
         u = K p,    s+ = A_register p + B_register u_a,
 
     where u_a is the force that acts at the end of the period. The noise of the measurements is a sequence e, whose energy is
-    the
-    sum of its squares. It adds `noise` e to [u; s+].
+    the sum of its squares. It adds `noise` e to [u; s+].
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -309,8 +304,7 @@ class SampledLoop(CheckedFields):
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
             # exp(A t) - I is the integral of exp(A s) A. It is computed like the effect of a held input with the matrix A,
-            # which
-            # avoids cancellation.
+            # which avoids cancellation.
             piece = StateSpace(A, A, A[:0], A[:0]).hold_matrices(duration)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
@@ -406,13 +400,11 @@ class SampledDataProblem:
 
     The discrete plant of a level has additional states besides those of the plant. They are the previous forces that are still
     delayed or part of a measurement, the latest first. Gains do not act on these states. A controller that uses its own
-    previous
-    output is a control law with states.
+    previous output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. Held over T seconds, this velocity has the
-    energy
-    T s^2 in units of s. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum of its
-    squares.
+    energy T s^2 in units of s. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum of
+    its squares.
 
     Attributes:
         plant: plant in continuous time with n states and q measurements. Its Dyu is that of the force just before a sample.
@@ -473,8 +465,7 @@ class SampledDataProblem:
         """Returns the discrete plant of the level gamma; None if the gain within one period is already at least gamma.
 
         The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the plant
-        are
-        `rows` of its states plus the noise.
+        are `rows` of its states plus the noise.
         """
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)

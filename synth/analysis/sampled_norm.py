@@ -2,21 +2,17 @@
 bound.
 
 A level exceeds the gain if its discrete plant (`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The
-bilinear
-image of this loop has the same gains, and it is a continuous loop. The eigenvalues of its Hamiltonian matrix propose the angles
-on
-the unit circle at which a gain is 1. The gain is evaluated at these angles and between them. At the angle of the largest gain,
-the
-level is changed until this gain is 1. The level is then the gain for a disturbance whose phase advances by this angle per
-sample.
+bilinear image of this loop has the same gains, and it is a continuous loop. The eigenvalues of its Hamiltonian matrix propose
+the angles on the unit circle at which a gain is 1. The gain is evaluated at these angles and between them. At the angle of the
+largest gain, the level is changed until this gain is 1. The level is then the gain for a disturbance whose phase advances by
+this angle per sample.
 
 The second method gives a lower bound and does not use levels. It considers disturbances whose phase advances by an angle per
-sample,
-and which are polynomials of low degree over each part of the period. For these disturbances, matrix exponentials give x and the
-energy of z exactly. The largest gain among these disturbances is therefore the largest singular value of one matrix. It is the
-gain
-of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but of z itself, not of its samples. The worst
-disturbance is smooth, and the gain is stationary there. The error thus has the order 2 (degree + 1) in the length of the parts.
+sample, and which are polynomials of low degree over each part of the period. For these disturbances, matrix exponentials give x
+and the energy of z exactly. The largest gain among these disturbances is therefore the largest singular value of one matrix. It
+is the gain of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but of z itself, not of its samples.
+The worst disturbance is smooth, and the gain is stationary there. The error thus has the order 2 (degree + 1) in the length of
+the parts.
 """
 
 import math
@@ -99,10 +95,8 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     z.
 
     The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy its small
-    entries.
-    The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses it without loss of digits in
-    any
-    column.
+    entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses it without loss of
+    digits in any column.
 
     A polynomial is given by its coefficients of Legendre polynomials of energy 1. The states after the n-th are constant.
     """

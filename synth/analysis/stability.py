@@ -2,8 +2,7 @@
 
 Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. Consider a pole with the imaginary
 part omega. This pole counts as lying on the imaginary axis *to rounding* if such an E can move an eigenvalue to j omega. This
-is
-the case if the smallest singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra,
+is the case if the smallest singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra,
 section 2). For a simple pole, the allowed distance from the axis is the condition number of the eigenvalue times |E|.
 
 The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole at the origin by
@@ -131,8 +130,7 @@ def sampled_growth(Phi: Array) -> float:
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
     # Poles outside the circle are checked first. If one is outside by more than rounding, the hundreds of poles that a delay
-    # can
-    # add need no check.
+    # can add need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -338,10 +336,8 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
     """Returns texts that explain why no static output feedback stabilises the plant; empty if no reason is known.
 
     The plant must be stabilisable and detectable. A gain moves the sum of the poles by tr(K C_y B), and it multiplies their
-    product
-    by det(I - K C_y (-A)^-1 B). For a discrete plant, the same holds for its differences, in which z = 1 corresponds to 0.
-    Poles
-    that no gain moves, such as those of a filter in a weight, decay and are not part of the sum.
+    product by det(I - K C_y (-A)^-1 B). For a discrete plant, the same holds for its differences, in which z = 1 corresponds to
+    0. Poles that no gain moves, such as those of a filter in a weight, decay and are not part of the sum.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:

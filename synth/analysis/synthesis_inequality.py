@@ -2,25 +2,20 @@
 
 For state feedback, a Y of (21) exists if and only if N' (21) N < 0 at Y = 0. Here N is a basis of all q with [B; D]' q = 0 (the
 elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w, the same inequality of the transposed
-plant
-must hold, too, with the unknown S instead of X.
+plant must hold, too, with the unknown S instead of X.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v. The same is true along A B v, and so on,
-as
-long as these directions are not observable in z. The columns of F span these directions (`_closure`). A dual solution cannot
-weight
-them. Therefore N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, where J is a basis of all rows with
-J F = 0. For the transposed plant (B = C_y', D = Dyw'), the rows of F' are the states that y and its derivatives determine
-without
-influence of w.
+as long as these directions are not observable in z. The columns of F span these directions (`_closure`). A dual solution cannot
+weight them. Therefore N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, where J is a basis of all
+rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the rows of F' are the states that y and its derivatives
+determine without influence of w.
 
 X also grows without cost along stable states that are unobservable in z.
 
-**Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since
-2 (Q X Q' - U X U') = He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs
-without
-cost do not lead to the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the
-states that inputs can bring to zero within some samples while z is zero.
+**Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs without cost do not lead to
+the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states that inputs
+can bring to zero within some samples while z is zero.
 
 All ranks are determined in integers from the given numbers, without tolerances. The result therefore does not depend on the
 magnitude of a direction, nor on the units of states, inputs, time, w and z.
@@ -32,8 +27,7 @@ solutions then belong to the left deflating subspace of the other zeros,
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
 Lambda exactly. Both are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on the axis
-to
-rounding are ignored. This makes the bound weaker, but it remains valid.
+to rounding are ignored. This makes the bound weaker, but it remains valid.
 """
 
 import math

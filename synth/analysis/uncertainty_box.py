@@ -1,17 +1,13 @@
 """Proofs of stability and of norm bounds for a box of gain errors: each measurement and each force has its own factor.
 
 The acting gain is S_u K S_y with diagonal matrices S_y and S_u. Consider one factor t, with the other factors fixed. As a
-function
-of t, the matrices A, C, Bw and Dw of the loop are affine in t / (1 - c t), or in t if no measurement contains a force. This
-quotient is monotone as long as the algebraic loop through the measurements is well-posed. The algebraic loop is well-posed in
-the
-whole box if its determinant, which is affine in every factor, has the same sign at all corners.
+function of t, the matrices A, C, Bw and Dw of the loop are affine in t / (1 - c t), or in t if no measurement contains a force.
+This quotient is monotone as long as the algebraic loop through the measurements is well-posed. The algebraic loop is well-posed
+in the whole box if its determinant, which is affine in every factor, has the same sign at all corners.
 
 For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance appears at most squared.
-The
-eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the bound in the
-whole
-box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
+The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the bound in the
+whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 """
 
 import itertools
@@ -77,8 +73,7 @@ class ScaledGain:
         K: nominal gain, shape (m, q).
         before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
         readings, forces: numbers of leading columns of K for measurements, and of leading rows for forces. The remaining
-            columns
-            and rows belong to the states of the control law.
+            columns and rows belong to the states of the control law.
     """
 
     plant: Plant

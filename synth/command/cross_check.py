@@ -1,8 +1,7 @@
 """Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
 The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum. Two solvers therefore
-agree
-in gamma, but not in the gain. A second problem, in which the designed gain is fixed, checks the gain.
+agree in gamma, but not in the gain. A second problem, in which the designed gain is fixed, checks the gain.
 """
 
 from dataclasses import asdict, dataclass

@@ -72,8 +72,7 @@ class Row:
         witness: result of the cross-check with a second solver, if requested.
         sampled: norm of the sampled-data loop, if the vehicle file describes an implementation.
         sampled_below: lower bound on this norm for any controller with these measurements, if the controller is designed for
-            the
-            sampled-data loop.
+            the sampled-data loop.
         fragile: tolerated gain errors, if requested.
         answers: texts that options requested; the notes also contain these texts.
         ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
@@ -191,8 +190,7 @@ def limit_text(limit: LowerBound, plant: Plant) -> str:
     """Returns a text about the lower bound that no control force changes.
 
     If a mode must be stabilised, the bound holds for stabilising controllers. At an invariant point, z reaches the bound even
-    without
-    control.
+    without control.
     """
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."

@@ -317,8 +317,7 @@ def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
     """Converts a law designed on C_y x to a law on the measurements of the sensors; accelerations contain the control force.
 
     If the force is measured, it is subtracted from the measurements. Otherwise the law is changed so that the closed loop stays
-    the
-    same. Integrals of measurements become states of the law.
+    the same. Integrals of measurements become states of the law.
 
     Args:
         law: law from the measured signals that depend on the state.

@@ -1,23 +1,18 @@
 """Statistical linearisation: straight lines that fit the nonlinear characteristics of a vehicle best over a random road.
 
 Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line with the least mean-square
-error
-for a characteristic F has the mean force and the mean slope of F:
+error for a characteristic F has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.
 
 The slope changes by d_i at the knot k_i. phi is the normal density, and Q its upper tail probability. The formulas are exact
-for
-piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
-Random
-Vibration and Statistical Linearization, 1990, chapter 5).
+for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
+Random Vibration and Statistical Linearization, 1990, chapter 5).
 
 The linear vehicle with these slopes has other values of m and s. The computation is therefore iterated until slopes, m and s
-are
-consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes (the damper jacks the
-body
-down).
+are consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes (the damper jacks the
+body down).
 
 If two wheels share a parameter, the mean of their slopes is used, because road and car are the same on both sides.
 """

@@ -1,12 +1,10 @@
 """L2 gain of a vehicle's sampled-data loop, from the continuous road velocity to the continuous output z.
 
 This gain corresponds to the norm (18) of the continuous loop, but it includes `[implementation]` and the actuator lag of
-`[limits]`.
-The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and stroke,
-quantisation)
-are not included. Measurement noise is included if the controller's section specifies it. With actuator lag, z contains the
-acting
-force. An integral in z is not included: a computer sums its measurements, and only this sum returns to zero.
+`[limits]`. The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and
+stroke, quantisation) are not included. Measurement noise is included if the controller's section specifies it. With actuator
+lag, z contains the acting force. An integral in z is not included: a computer sums its measurements, and only this sum returns
+to zero.
 """
 
 import math
@@ -50,9 +48,8 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
     With tyre damping, a measurement may contain the road velocity. Such a measurement then contains the mean velocity over the
-    last
-    period, because the energy of the road bounds no velocity at an instant. This agrees with MuJoCo, where a held road moves in
-    steps. The road height in a measurement is the integral of the road velocity. The arguments are those of
+    last period, because the energy of the road bounds no velocity at an instant. This agrees with MuJoCo, where a held road
+    moves in steps. The road height in a measurement is the integral of the road velocity. The arguments are those of
     `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
@@ -63,8 +60,7 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     if not model.Dw[rows].any() and not model.Cr[rows].any():
         return problem.loop(law)
     # The plant integrates the velocity, with a decay of `FORGOTTEN` per period. The law stores the integral of the last sample.
-    # The
-    # difference of the two integrals gives the mean velocity.
+    # The difference of the two integrals gives the mean velocity.
     (n, m), q, r, plant = problem.plant.B.shape, len(rows), model.Dw.shape[1], problem.plant
     C, D = (rate[:r] for rate in road_rates(vehicle.without_integrals, plant))
     wide = replace(

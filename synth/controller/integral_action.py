@@ -1,17 +1,13 @@
 """Integral action: converts a law whose states include integrals of its measurements to a law on these integrals, and back.
 
 If z weights an integral, the integral must return to zero; otherwise z has no norm. A law designed for such a z therefore feeds
-the
-integral back. Its first states are integrals of its measurements, x_c' = S y. These integrals are states of the plant, too. If
-a
-loop contained both, their difference would never decay. The loop therefore contains them only once: the law is treated as a law
-on
-[y; integrals].
+the integral back. Its first states are integrals of its measurements, x_c' = S y. These integrals are states of the plant, too.
+If a loop contained both, their difference would never decay. The loop therefore contains them only once: the law is treated as
+a law on [y; integrals].
 
 A law without these integrals may still have a norm, if the integrated signal is zero at 0 rad/s for every road. Let x' = A x +
-B w
-describe the loop, and let c x + d w be integrated. The integral is then c A^-1 x, because its derivative is c x + c A^-1 B w.
-The condition c A^-1 B = d means that the transfer function d - c A^-1 B is zero at 0 rad/s.
+B w describe the loop, and let c x + d w be integrated. The integral is then c A^-1 x, because its derivative is c x + c A^-1 B
+w. The condition c A^-1 B = d means that the transfer function d - c A^-1 B is zero at 0 rad/s.
 """
 
 from collections.abc import Mapping, Sequence
@@ -83,8 +79,7 @@ def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Arra
     """Returns integrals as combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
 
     The result is None if such an integral does not return to zero. This is the case if the rest of the loop does not decay, or
-    if w
-    acts on the integrated signal at 0 rad/s.
+    if w acts on the integrated signal at 0 rad/s.
 
     Args:
         loop: closed loop with n states, in which the integrals affect only z.

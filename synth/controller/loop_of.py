@@ -8,13 +8,11 @@ A sampled-data loop holds the disturbances over every step. The state xi = x - J
     xi' = A xi + B u + (A J + Br) z_m + Bh f,    signals = C xi + D u + (C J + Cr) z_r + Dh f_s,
 
 where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). Loads
-and,
-with tyre damping, mean road velocities are held over a step as f (`.held`). Signals contain them as f_s (`.signal`), and
+and, with tyre damping, mean road velocities are held over a step as f (`.held`). Signals contain them as f_s (`.signal`), and
 measurements contain them as f_r (`.read`). Measurements also contain noise (`.noise`).
 
 The outputs are the signals of the vehicle, the measurements (`body_acceleration.read`) and the commanded forces of the
-actuators
-(`.held`).
+actuators (`.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence

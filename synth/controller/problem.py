@@ -1,27 +1,22 @@
 """Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
 
 The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. A controller may add sensor
-noise
-and loads on the body, which are disturbances in addition to the road. It may also add actuator lag, whose states are added to
-those
-of the vehicle.
+noise and loads on the body, which are disturbances in addition to the road. It may also add actuator lag, whose states are
+added to those of the vehicle.
 
 If z weights an integral, the integral is a state of the plant. It counts as measured if its signals are measured, because a law
-can
-integrate its measurements like the plant does. The first states of such a law are then states of the plant, and the closed loop
-contains them only once (`integral_action.py`).
+can integrate its measurements like the plant does. The first states of such a law are then states of the plant, and the closed
+loop contains them only once (`integral_action.py`).
 
 A law in a theoretical study may measure heights above the datum of a flat road. These contain the road height z_r, which then
-acts
-through the law:
+acts through the law:
 
     x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
 
-where the matrices are those of the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and
-z = C xi + D w + (F - C A^-1 E) z_r. A norm therefore exists if F = C A^-1 E, which means that a constant road height does not
-affect z. The norm is then that of a loop with the same number of states. If the road has a filter that is 0 at 0 rad/s, z_r is
-a
-sum of filter states, which the law measures.
+where the matrices are those of the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
++ D w + (F - C A^-1 E) z_r. A norm therefore exists if F = C A^-1 E, which means that a constant road height does not affect z.
+The norm is then that of a loop with the same number of states. If the road has a filter that is 0 at 0 rad/s, z_r is a sum of
+filter states, which the law measures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,8 +55,7 @@ class ClosedLoop:
         states: names of the states of the plant without the law.
         law_states: number of states of the law, which follow those of the plant.
         with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. Such a
-            loop
-            has no finite norm. None if constant heights do not affect z.
+            loop has no finite norm. None if constant heights do not affect z.
         unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
@@ -97,19 +91,16 @@ class Problem:
 
     Attributes:
         plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are loads, then
-            measurement
-            noises.
+            measurement noises.
         forces: indices of the measurements that are forces without lag, and therefore independent of the state; each with the
-            index
-            of its input.
+            index of its input.
         integrated: factors of the measurements in each measured integral, shape (j, q - j). The integrals are the last j
             measurements. None if j = 0.
         integrals: indices of the states of the plant that are integrals.
         measured_integrals: indices of the states that are measured integrals, in the order of `integrated`.
         states: names of the states of the plant.
         of_heights: gain from the road heights to the measurements, shape (q, r), if the heights are integrals of the
-            disturbances.
-            None if no height above a datum is measured, or if the heights are states of the plant.
+            disturbances. None if no height above a datum is measured, or if the heights are states of the plant.
         rates: matrices from the states and from the disturbances of the plant to the road velocities; None without
             `of_heights`.
     """
@@ -261,8 +252,7 @@ def _heights_read(
     """Returns the contributions of measured heights to Cy and Dyw, and `of_heights` and `rates` of a `Problem`.
 
     The heights contain the warp of the road, which is a separate disturbance. The rest of the heights is the integral of the
-    road
-    velocities.
+    road velocities.
     """
     Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
     by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
@@ -313,8 +303,7 @@ def generalized_plant(
         vehicle: vehicle of the plant.
         bandwidth: corner frequency of the actuator lag [rad/s]; None for forces without lag.
         acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the requested
-            force,
-            which the controller determines.
+            force, which the controller determines.
         loads: loads on the body, each with the value that counts as 1 m/s of w. They are disturbances after those of the road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
@@ -446,8 +435,7 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effect of the road's warp as a separate disturbance, shapes (n, k) and (len(signals), k).
 
     As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, it is bounded. It is
-    scaled
-    by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
+    scaled by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)

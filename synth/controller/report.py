@@ -42,8 +42,7 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     """Returns the norm of the sampled-data loop of a vehicle and a controller.
 
     The result is None if `[implementation]` has neither sample period nor delay. It is also None for a stable loop without such
-    a
-    norm: a law for theoretical study, with which a constant road height affects z, or which measures the road's warp.
+    a norm: a law for theoretical study, with which a constant road height affects z, or which measures the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None

@@ -1,8 +1,7 @@
 """Sample-period margin: the shortest sample period at which a loop is unstable.
 
 A copy of the law samples the forces at which the loop is cut. Another copy of the law computes the other forces in continuous
-time.
-Each copy contains only the states of the law on which its forces depend.
+time. Each copy contains only the states of the law on which its forces depend.
 """
 
 import math
@@ -118,10 +117,9 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     """Returns the shortest sample period at which a continuous loop is unstable with some forces sampled [s]; may be infinite.
 
     The search takes steps in the sample period that turn no pole by more than 0.05 rad, until all motion has decayed. The
-    product
-    of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. Its minima
-    show
-    instabilities that last for less than one step. The result is 0 if a force returns through its own measurement without loss.
+    product of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. Its
+    minima show instabilities that last for less than one step. The result is 0 if a force returns through its own measurement
+    without loss.
 
     Args:
         loop: loop that is stable in continuous time.

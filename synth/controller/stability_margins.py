@@ -1,24 +1,20 @@
 """Stability margins of a loop, predicted from the loop cut at some forces.
 
 The cut loop (`Loop.cut`) is L(s) = C (s I - A)^-1 B + D. The closed loop reaches the limit of stability if an eigenvalue of L(j
-w)
-is 1. No margin is read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X (+) Y = kron(X, I) + kron(I, Y),
-the
-margins are computed as follows:
+w) is 1. No margin is read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X (+) Y = kron(X, I) + kron(I,
+Y), the margins are computed as follows:
 
 - Gain: a factor k moves a pole of A + k M to the imaginary axis only if two poles add up to zero. This requires that
   (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
 - Phase lag: z = exp(-j theta) moves a pole to the axis only if (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 /
-  z,
-  this is a quadratic eigenvalue problem in z. Its solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
+  z, this is a quadratic eigenvalue problem in z. Its solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
 - Delay: a delay of theta / w causes the lag theta. The delay margin is that of the crossover with the smallest delay.
 - Phase lead: a lead is 2 pi minus the lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
 
 If D is not zero, the problems contain further matrices, and a fine grid gives the candidates. All candidates are then refined
-with
-the poles of the closed loop.
+with the poles of the closed loop.
 """
 
 import itertools
@@ -130,8 +126,8 @@ def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
     """Returns all stability margins of a loop that is cut at some forces. The closed loop must be stable.
 
     For a sampled-data loop, the sample-period margin is not computed. The bilinear map z = (1 + s) / (1 - s) maps the unit
-    circle to
-    the imaginary axis. It maps the loop to a continuous loop with the same crossovers and disk margin at other frequencies.
+    circle to the imaginary axis. It maps the loop to a continuous loop with the same crossovers and disk margin at other
+    frequencies.
 
     Args:
         loop: closed loop, continuous or sampled.
@@ -166,8 +162,8 @@ def gain_crossings(cut: StateSpace) -> list[float]:
     """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
     With feedthrough, a factor for which the spectral radius of the feedthrough reaches 1 is a limit, too. Beyond this factor,
-    any
-    delay makes the loop unstable. If this factor is below 1, the loop is only theoretical, and factors beyond it are returned.
+    any delay makes the loop unstable. If this factor is below 1, the loop is only theoretical, and factors beyond it are
+    returned.
     """
     n = len(cut.A)
     if cut.dt is not None:

@@ -3,8 +3,7 @@
     minimise   c' p - sum_b log det(F0_b + sum_i p_i F_bi)
 
 Source: Boyd, Vandenberghe, Convex Optimization, sections 9.6 and 11.6. LAPACK is called directly, because for small matrices
-the
-checks in the usual wrappers take longer than LAPACK itself.
+the checks in the usual wrappers take longer than LAPACK itself.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -80,8 +79,7 @@ class Barrier:
             rows.append(numbers)
             trace = trace + numbers.sum(axis=1)
         # The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T). The QR decomposition of G' yields the factor of the Hessian,
-        # and
-        # loses half as many digits as a decomposition of the Hessian itself.
+        # and loses half as many digits as a decomposition of the Hessian itself.
         G = np.concatenate(rows, axis=1)
         squares = np.einsum("ij,ij->i", G, G)
         if not squares.all():
@@ -271,8 +269,7 @@ def newton(
 
     Returns:
         The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement. It is
-        infinite
-        if rounding prevents its computation.
+        infinite if rounding prevents its computation.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"

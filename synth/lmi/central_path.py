@@ -1,8 +1,7 @@
 """Central path of the design problem, followed to its limit, which is a unique optimal solution.
 
 The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). The value gamma is therefore unique, but the gain is
-not.
-An interior-point solver returns a point of this face that depends on its scaling and tolerance. The limit for mu -> 0 of
+not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The limit for mu -> 0 of
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
@@ -10,14 +9,12 @@ is unique. The limit depends neither on a solver nor on state coordinates, input
 constants to the logarithms. The gains published in the paper are this limit.
 
 The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
-tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes
-X = diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the
-coordinates
+tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
+diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
 are changed again so that X = I and Y = 0, where the plant absorbs the current gain.
 
 For a discrete plant, log det of the larger matrix of `certificate.py` replaces the last two logarithms, because it contains
-both.
-As the sample period decreases, this path approaches that of the continuous plant.
+both. As the sample period decreases, this path approaches that of the continuous plant.
 """
 
 import contextlib
@@ -98,8 +95,7 @@ class CentralPoint:
             states: present unit of each state, expressed in the new unit, shape (n,).
             inputs: present unit of each input, expressed in the new unit, shape (m,).
             measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). Alternatively a matrix S
-                of
-                shape (q, q), if the new inputs of K are S times the present inputs.
+                of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -238,9 +234,8 @@ class _Path:
         """Finds a strictly feasible point.
 
         Feasible points exist if and only if He(A X + B Y) < 0 has a solution with the structure (12). If such a pair is scaled
-        down
-        enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A X + B Y) < s I, 0 < X < I,
-        |Y| < LARGEST_Y, until s < 0.
+        down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A X + B Y) < s I, 0 < X
+        < I, |Y| < LARGEST_Y, until s < 0.
 
         Raises:
             NoSolutionError: there is no feasible point, up to rounding.
@@ -305,8 +300,7 @@ class _Path:
         """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
 
         At these points, mu / eta is fixed instead of mu: log(eta) eta / mu replaces eta / mu. The points are therefore
-        independent
-        of units and of the first point. Some of them are designs, or define L (14).
+        independent of units and of the first point. Some of them are designs, or define L (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)

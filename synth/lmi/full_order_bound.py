@@ -4,8 +4,7 @@
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
 `synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
-`central_path.py`,
-in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
+`central_path.py`, in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
 """
 
 import contextlib
@@ -49,18 +48,17 @@ def find_lower_bound(
 
     Args:
         plant: plant with n states and m inputs.
-        Cy: matrix of the measurements, shape (q, n). The bound then holds for output feedback of any order from
-            y = C_y x + Dyw w. Default: the measurements of the plant. If the plant has no measurements, the bound is for state
-            feedback. This bound also holds for output feedback, whose own bound is never lower.
+        Cy: matrix of the measurements, shape (q, n). The bound then holds for output feedback of any order from y = C_y x + Dyw
+            w. Default: the measurements of the plant. If the plant has no measurements, the bound is for state feedback. This
+            bound also holds for output feedback, whose own bound is never lower.
         path: central path of `state_feedback` for this plant, if it is known.
         beyond_control: bound of `bound_beyond_control`, if it is known.
         Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
         The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, but not on a mode that does not
-        decay,
-        the LMIs have no strictly feasible point. Only zeros and the invariant point then bound the norm, and `reason` describes
-        the mode.
+        decay, the LMIs have no strictly feasible point. Only zeros and the invariant point then bound the norm, and `reason`
+        describes the mode.
 
     Raises:
         InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
@@ -114,8 +112,7 @@ def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[C
     """Returns the lower bound for state feedback.
 
     The bound comes from the dual of (22). If the plant's inequality has fewer coordinates than (22), or (22) has no path, the
-    bound
-    comes from the path of the inequality.
+    bound comes from the path of the inequality.
     """
     bound = (
         _along_joint_path(plant, None, one, None)
@@ -157,8 +154,7 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
     """Returns the lower bound from disturbances that no measurement contains, and from outputs that no force changes.
 
     Disturbances are considered at zero and at infinite frequency, outputs at infinite frequency. For a discrete plant, the
-    bound is
-    0.
+    bound is 0.
 
     Other zeros on the imaginary axis are not used, because floats cannot represent them. Zeros next to the axis give no bound.
     """
@@ -254,8 +250,7 @@ def _feasible(plant: Plant) -> Array:
     """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
     X is the inverse of the solution of a Riccati equation in the plant's own units. The z of this equation also contains the
-    states
-    and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
+    states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
     """
     units = own_units(plant)
     own = units.into(plant)

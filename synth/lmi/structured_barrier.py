@@ -9,10 +9,8 @@ changes along the unit matrices e_p e_q' and e_s e_t'. It is 2 (g[t, p] g[q, s] 
 and a = R' P R. It thus consists of products of entries of three small matrices.
 
 If S is nearly singular, the largest terms of the Hessian would hide the others in rounding errors. Therefore, the sums omit the
-part
-of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows of this part to the Cholesky
-factor
-of the sums. This keeps as many digits as the QR decomposition of all rows in `barrier.py`.
+part of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows of this part to the Cholesky
+factor of the sums. This keeps as many digits as the QR decomposition of all rows in `barrier.py`.
 """
 
 import functools
@@ -163,8 +161,7 @@ class StructuredBarrier:
             if singular:
                 return None
             # S^-1 = U U', where the columns of U have decreasing size. U is computed from the factor, so large columns keep
-            # their
-            # digits.
+            # their digits.
             _, sizes, directions = np.linalg.svd(inverse)
             U = directions.T * sizes
             bases.append(U)
@@ -229,10 +226,8 @@ class StructuredBarrier:
 
         The symmetric matrix [X, Y'; Y, 0] gives the same S, if R is padded with zeros. The second derivative of log det S along
         e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the sum of four terms like that in the module docstring. The sum is an
-        entry
-        of a product of thin matrices, 2 (U V' + V U')[s, t], where U depends only on q and V only on p. Every constraint adds
-        four
-        columns to U and to V. The constraints X > 0 and X < I add one column, because their four terms are equal.
+        entry of a product of thin matrices, 2 (U V' + V U')[s, t], where U depends only on q and V only on p. Every constraint
+        adds four columns to U and to V. The constraints X > 0 and X < I add one column, because their four terms are equal.
 
         Args:
             light: parts P of S^-1 that belong to the larger eigenvalues of S, one for each constraint.

@@ -21,8 +21,7 @@ class Basis:
 
     Attributes:
         places: row and column indices in [X; Y] of all unknowns except the last, shapes (N - 1,). For the unknowns of X, they
-            are
-            those above the diagonal.
+            are those above the diagonal.
         size: number N of unknowns.
     """
 

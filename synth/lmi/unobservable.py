@@ -1,14 +1,12 @@
 """Removes stable states that are unobservable in z from the LMI problems, and adds them to the solution.
 
 Some gain F may make states unobservable in z: from such a state on, (C + D F) x stays 0. If these states decay, X of (22) and
-(25)
-may grow along them without bound and without cost. The problem then has no central path, and the gains on these states are
+(25) may grow along them without bound and without cost. The problem then has no central path, and the gains on these states are
 arbitrary. Therefore, the states are removed. The problem of the other states has the same optimum, and it gives the gain on the
 other states. The gain on the removed states is F, which is zero if z weights the force separately.
 
 In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
-F
-is zero, and a part in R.
+F is zero, and a part in R.
 """
 
 from dataclasses import dataclass

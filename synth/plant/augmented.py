@@ -5,13 +5,11 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
 For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. It is
-then
-part of Bw and Dw of the larger plant.
+then part of Bw and Dw of the larger plant.
 
 A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
 plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A
-filter in
-series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
+filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
 
 - `transfer_function`: system from a ratio of polynomials in s
 - `series`, `append`: systems in series, and systems in parallel with separate signals
@@ -115,8 +113,7 @@ def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, be
     """Returns the plant with one system after z and another system before w.
 
     The states of the plant come first, then those of the system after z, then those of the system before w. The result keeps
-    the
-    measurements of the plant, which contain the filtered w.
+    the measurements of the plant, which contain the filtered w.
 
     Args:
         plant: plant with n states, r disturbances and d outputs.

@@ -1,9 +1,8 @@
 """Sums and products with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
 
 Knuth's sum and Dekker's product are exact, because their rounding error is itself a float and is stored as `low`. Source:
-Ogita,
-Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of plants
-do.
+Ogita, Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of
+plants do.
 """
 
 import numpy as np

@@ -29,8 +29,8 @@ class Feedback:
     """Static gain u = K y with y = C_y x, stored as two factors K and C_y.
 
     The factors are stored separately so that proofs do not depend on the rounding of their product. A gain may, for example,
-    weight
-    the difference of two nearly dependent signals with a factor of a million. Rounding K C_y would then change the controller.
+    weight the difference of two nearly dependent signals with a factor of a million. Rounding K C_y would then change the
+    controller.
 
     Attributes:
         K: gain, shape (m, q).
@@ -55,8 +55,7 @@ class Plant:
     """Linear plant with control inputs u, disturbances w, controlled outputs z and, if given, measurements y.
 
     In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with `dt` is discrete:
-    x[k+1]
-    replaces x'. The methods that return another plant keep the measurements, unless they state otherwise.
+    x[k+1] replaces x'. The methods that return another plant keep the measurements, unless they state otherwise.
 
     Attributes:
         A: state matrix, shape (n, n).
@@ -68,8 +67,7 @@ class Plant:
         beyond: rounding errors of A and C of a closed loop (true value minus float), shape (n + d, n); None if A and C are
             exact.
         weights: number of states that belong to weighting filters; they are the last states. No controller moves their poles,
-            and
-            the speed of the plant does not include them.
+            and the speed of the plant does not include them.
         dt: sample period of a discrete plant [s]; None for a continuous plant.
         Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
         Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
@@ -160,8 +158,7 @@ class Plant:
 
         Raises:
             InputError: the plant has no state, or no signal is measured. The error is also raised if a matrix has the wrong
-                shape
-                or entries that are not real finite numbers. All entries of a measured signal must not be nearly zero.
+                shape or entries that are not real finite numbers. All entries of a measured signal must not be nearly zero.
         """
         check_states(len(self.A))
         changed: dict[str, Any] = {"Cy": Cy, "Dyw": Dyw, "Dyu": Dyu}

@@ -3,12 +3,11 @@
     x' = A x + B u + E d,    y = C x + D u + F d.
 
 The law computes the forces u from some of the outputs y. The other inputs d of the plant include the road, loads, measurement
-noise
-and forces from a road preview. In continuous time, the law acts without delay.
+noise and forces from a road preview. In continuous time, the law acts without delay.
 
 In discrete time, the law samples y every T seconds, just before its new force starts to act. A measurement therefore contains
-the
-force that acted before. Over each part of the period, a force acts that was computed some samples ago. The state at a sample is
+the force that acted before. Over each part of the period, a force acts that was computed some samples ago. The state at a
+sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
@@ -213,8 +212,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
         loop: sampled-data loop with a step.
         outputs: names of p outputs. States and requested forces of the law are those of the last sample.
         inputs: inputs by name, each of shape (..., T). Disturbances are held over each step. Values for a force are added to
-            the
-            requested force at the samples.
+            the requested force at the samples.
         start: initial states of the plant, shape (n,). Default: zero.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
@@ -312,8 +310,7 @@ def _by_step(
 
     Returns:
         The plant from forces and given disturbances to the outputs. Its states and the acting forces in each step. The
-        amplitudes
-        of the disturbances.
+        amplitudes of the disturbances.
     """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
@@ -339,15 +336,13 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
     """Returns outputs of the plant for sinusoidal inputs, complex, shape (F, p, c).
 
     If the sample period has several steps, held forces add other frequencies. The result is then the part at the frequency of
-    the
-    input.
+    the input.
 
     Args:
         loop: loop in continuous time, or sampled-data loop.
         outputs: names of p outputs of the plant.
         drive: complex amplitudes by name, each of shape (F, c). Disturbances are given at the start of a step. Values for a
-            force
-            are added to the requested force.
+            force are added to the requested force.
         omega: angular frequencies [rad/s], shape (F,).
     """
     if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
@@ -362,13 +357,11 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
     """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
 
     The sample period starts at t = 0. Between samples, held forces add other frequencies. `frequency_response` contains only
-    the
-    part at omega. The arguments are those of `frequency_response`.
+    the part at omega. The arguments are those of `frequency_response`.
 
     Returns:
         The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the
-        outputs
-        at the times when the force of a step starts to act, complex, shape (P, F, p, c).
+        outputs at the times when the force of a step starts to act, complex, shape (P, F, p, c).
     """
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]

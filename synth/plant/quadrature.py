@@ -3,8 +3,7 @@
 The band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in the complex
 plane. A spectrum is therefore equally smooth on all panels, and even a resonance with a damping of 1e-6 needs only a few more
 panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the part of
-the
-integrand with degrees 8 and 9, which is far larger than the true error. Panels with a large estimate are halved.
+the integrand with degrees 8 and 9, which is far larger than the true error. Panels with a large estimate are halved.
 """
 
 from collections.abc import Callable
@@ -50,10 +49,8 @@ class Band:
         """Returns complex weights for Fourier integrals, shape (F,).
 
         `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. It is accurate for any t [s], because f is
-        treated
-        as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the spherical Bessel function
-        j_l,
-        the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
+        treated as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the spherical Bessel
+        function j_l, the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
         """
         from scipy import special  # the import takes 0.1 s
 
@@ -77,8 +74,7 @@ def sample_band(
     Args:
         function: function of frequencies [rad/s], from shape (F,) to (F, ...).
         checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. It returns c
-            nonnegative
-            integrands whose integrals must be accurate, shape (F, c).
+            nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
         poles: poles of the function [rad/s], complex, shape (n,). Panels are short near poles.
         longest: largest length of a panel [rad/s].

@@ -25,8 +25,7 @@ def reachable(plant: Plant, free: int) -> Array:
     """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
 
     The coordinates are the square root of a controllability Gramian, block by block. A is shifted until all its modes decay.
-    The
-    shift does not depend on the coordinates, so the result does not depend on them either.
+    The shift does not depend on the coordinates, so the result does not depend on them either.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
@@ -71,8 +70,7 @@ class OwnUnits:
         """Returns C_y in the own units of the states as a product S V, where V has orthonormal rows.
 
         A design depends only on the span of the rows. Nearly dependent rows would lose digits in every product. A design
-        therefore
-        uses V, and inverts S only once, at the end.
+        therefore uses V, and inverts S only once, at the end.
 
         Args:
             Cy: matrix with independent rows, shape (q, n).
@@ -116,14 +114,11 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
     The units result from a least-squares fit to the logarithms of all nonzero entries. The units of disturbances, outputs and
     measurements are free in this fit, too. `balance` would ignore states that do not both drive other states and depend on
-    them.
-    A norm has one unit for all of w, and one unit for all of z. These two units decide only if nothing else determines the
-    speed of
-    the plant. For example, integrators have the rate at which motion and driving force have the same weight in z.
+    them. A norm has one unit for all of w, and one unit for all of z. These two units decide only if nothing else determines
+    the speed of the plant. For example, integrators have the rate at which motion and driving force have the same weight in z.
 
     The pattern of zeros may leave some units undetermined. Such a unit is kept as given; units of the disturbance are
-    preferred. As
-    a result, the same plant in other units, each a power of two, is identical in its own units bit for bit.
+    preferred. As a result, the same plant in other units, each a power of two, is identical in its own units bit for bit.
 
     Args:
         plant: plant with n states. For a discrete plant, the units are those of its differences.
@@ -137,8 +132,7 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     columns, unknowns = n + m + r, n + m + r + d + q + 1
     changes = i < n
     # An entry is multiplied by the unit of its column. An entry in a row of x is divided by the unit of this state and by the
-    # rate.
-    # Every equation thus has three coefficients. The normal equations contain their products in pairs.
+    # rate. Every equation thus has three coefficients. The normal equations contain their products in pairs.
     where = np.stack([j, np.where(changes, i, columns + i - n), np.full(len(i), unknowns - 1)], axis=1)
     own = np.where(i == j, 0.0, 1.0)  # the effect of a state on itself depends only on the rate
     what = np.stack([np.where(changes, own, 1.0), np.where(changes, -own, 1.0), np.where(changes, -1.0, 0.0)], axis=1)

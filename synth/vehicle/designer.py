@@ -185,8 +185,7 @@ class Designer:
         Raises:
             InputError: no controller has this name.
             DesignError: the controller could not be designed, or its certificate fails. A given gain is reported unchanged. If
-                the
-                two steps fail, a descent on the norm continues the design; see `Controller.fallback_method`.
+                the two steps fail, a descent on the norm continues the design; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)

@@ -1,20 +1,16 @@
 """Expected ride of a loop on a random road: the weighted rms acceleration of the body as in ISO 2631-1.
 
 A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may reduce the norm and still make
-the
-ride worse. The ride is therefore computed, too, from the road spectrum and the ideal loop. The vertical road velocity is white
-noise within its band, the rear wheels follow with a delay, and the coherency relates the left and right tracks. Let H be the
-response of an acceleration to the road under every wheel. Let e be the response of the road to two independent white sources,
-and
-W_k the frequency weighting. Then
+the ride worse. The ride is therefore computed, too, from the road spectrum and the ideal loop. The vertical road velocity is
+white noise within its band, the rear wheels follow with a delay, and the coherency relates the left and right tracks. Let H be
+the response of an acceleration to the road under every wheel. Let e be the response of the road to two independent white
+sources, and W_k the frequency weighting. Then
 
     mean square = G_v integral of |W_k H e|^2 df.
 
 The loop is continuous, without limits, and its actuators deliver every force. `sim.drive` computes the ride of the sampled-data
-loop.
-Straight lines replace nonlinear characteristics of dampers and springs. They are not the tangents at equilibrium, which apply
-to
-far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
+loop. Straight lines replace nonlinear characteristics of dampers and springs. They are not the tangents at equilibrium, which
+apply to far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -44,8 +40,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
     """Returns the expected weighted rms acceleration on an average road, at the worst of several points [m/s2].
 
     The result is None if the ideal loop is not stable, or if no vertical acceleration of the body is a signal. It is also None
-    if no
-    equivalent linear vehicle exists.
+    if no equivalent linear vehicle exists.
 
     Args:
         vehicle: vehicle of the controller.

@@ -1,14 +1,11 @@
 """Comparison with the paper's published designs, (40)-(60), and with its remarks 4 and 5 on other design methods.
 
 Remark 4: with the states (30), problem (25) has no solution for L = 0. With z_s, z_u and their velocities as states, as in
-[33], it
-has a solution for controller I and none for II. With these states, w is the road height, because the road velocity would
-require an
-additional state. The output z is the same.
+[33], it has a solution for controller I and none for II. With these states, w is the road height, because the road velocity
+would require an additional state. The output z is the same.
 
 Remark 5: in [19], controller I was found by a genetic algorithm. `differential_evolution` represents this type of search here.
-It
-uses only the norm of a gain, within a given box. Its result depends on the box and on the seed.
+It uses only the norm of a gain, within a given box. Its result depends on the box and on the seed.
 """
 
 import math
@@ -58,8 +55,7 @@ class PrintedNumber:
 
 NOT = math.nan  # an entry that is not published, or that follows by symmetry
 # Columns: equation, symbol, unit of the last published digit, value or matrix, and the entries for which the paper's solver
-# stopped
-# too early.
+# stopped too early.
 _RESULTS = (
     ("(40)", "G_s", 1e0, [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]], [(0, 2)]),
     ("(41)", "gamma_Gs", 1e-4, 7.8365, []),

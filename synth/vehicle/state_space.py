@@ -32,8 +32,7 @@ def from_state_space(
 
     Args:
         system: `control.StateSpace`, or an object with A, B, C, D, input_labels and output_labels. If it is discrete, `dt` is
-            its
-            sample period [s].
+            its sample period [s].
         disturbances: names of the inputs that are disturbances w. All other inputs are controls u.
         performance: weights of the outputs that form z, by name.
         measured: names of the outputs that form y. They must not contain u or w directly.
@@ -104,8 +103,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         vehicle: vehicle of the controller.
         name: name of the controller.
         measured: names of the signals at the inputs of the system. If the system has names for its inputs or outputs, these
-            names
-            determine the signals and forces; otherwise their order does.
+            names determine the signals and forces; otherwise their order does.
         system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
 
     Returns:
@@ -198,8 +196,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
     Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because a bounded road
     velocity does not bound them. The first inputs are the road velocities [m/s]. If road warp acts by its height, as in a full
-    car,
-    each warp is a further input. It is given as a velocity: height times `twist_rate` of the linear model.
+    car, each warp is a further input. It is given as a velocity: height times `twist_rate` of the linear model.
 
     Args:
         vehicle: vehicle whose outputs are those of the loop.
@@ -226,8 +223,8 @@ def loop_to(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) ->
     """Returns the closed loop from the disturbances to the z of a vehicle, whose entries have the names `outputs`.
 
     If the road has a filter, the inputs are those of the filter, `w[road]`. The noise of a sensor, if the design includes it,
-    is an
-    input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as 1 m/s.
+    is an input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as 1
+    m/s.
     """
     check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss

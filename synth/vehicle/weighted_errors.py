@@ -1,8 +1,7 @@
 """Robust stability and robust performance of a controller for frequency-weighted uncertainties, with proofs.
 
 Both are peaks over frequency of the structured singular value mu of a loop. The loop stays stable for all uncertainties of size
-below
-1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all uncertainties of size 1 / gamma.
+below 1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all uncertainties of size 1 / gamma.
 """
 
 from dataclasses import replace

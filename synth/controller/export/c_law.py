@@ -10,8 +10,7 @@ The computation in each sample has these steps:
 6. The outputs that were computed `delay` samples before are returned.
 
 A force or a state that overflows becomes 0. C and Python do the same operations in the same order and number format. Their
-results
-are therefore equal bit for bit.
+results are therefore equal bit for bit.
 """
 
 import re
@@ -154,8 +153,7 @@ def exported_law(
 
     Raises:
         InputError: the controller is a Python law or an FMU, has states or a rate limit but no sample period, or controls
-            dampers
-            that cannot be exported.
+            dampers that cannot be exported.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if driver.user_code is True:
@@ -222,8 +220,7 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
     """Returns the range of every measurement whose peak is proved by a goal, and a text about its source, by name.
 
     The peak is that of the ideal loop. The factor `SPARE` allows for the effects of sampling and rounding. A measurement is
-    clipped
-    at its range.
+    clipped at its range.
     """
     found = dict[str, tuple[float, str]]()
     for name in driver.measured:

@@ -1,8 +1,7 @@
 """Exported code as a compiled library, called once per sample.
 
 The library is built by the C compiler of this machine, or by that of Zig from the extra `[export]`. For the analysis, a
-controller
-with exported code is the same as without. In simulations, the code computes its outputs.
+controller with exported code is the same as without. In simulations, the code computes its outputs.
 """
 
 import ctypes

@@ -1,11 +1,9 @@
 """Fixed-point arithmetic: integers of 16 or 32 bits for measurements, states and forces, each with its own unit.
 
 The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
-states,
-by a sum over all responses of the states, and then the peaks of the forces. Nothing else can therefore overflow. The unit of a
-quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised measurement uses its resolution
-as
-the unit instead, if its range has few enough steps.
+states, by a sum over all responses of the states, and then the peaks of the forces. Nothing else can therefore overflow. The
+unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised measurement uses its
+resolution as the unit instead, if its range has few enough steps.
 
 A row of the law is a sum of integer coefficients times integers. The sum is computed in 64 bits without overflow, divided by
 2^shift, rounded to the nearest integer (ties away from 0), and clipped.

@@ -31,8 +31,7 @@ class FmuModel:
         delay: delay from an input to its output [samples]; 0 for a linear system.
         start: outputs before the first step, shape (p,).
         slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The rows are the outputs, then the
-            derivatives of
-            the states. The columns are the inputs, then the states.
+            derivatives of the states. The columns are the inputs, then the states.
         sources: C files of this model, by file name.
     """
 

@@ -1,10 +1,8 @@
 """Cost of a low sample rate: exact norm of a loop over the sample period, with and without delay, and its stability limit.
 
 The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
-rate.
-Between two periods that are tried, no mode of the vehicle or of the law turns by more than 0.1 rad, unless it has decayed. The
-limit
-is then found by bisection between the last stable period and the first unstable one.
+rate. Between two periods that are tried, no mode of the vehicle or of the law turns by more than 0.1 rad, unless it has
+decayed. The limit is then found by bisection between the last stable period and the first unstable one.
 """
 
 from collections.abc import Callable, Collection, Sequence

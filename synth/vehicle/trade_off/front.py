@@ -113,8 +113,7 @@ def front(
 
     Raises:
         InputError: designs cannot be based on this controller (see `entry_of`), or it has too many measurements for an axis
-            with
-            errors.
+            with errors.
         DesignError: no gain satisfies the bounds.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)

@@ -7,9 +7,8 @@ in the ellipse
     a^2 v_i^2 + b^2 v_j^2 < g^2.
 
 Many weights together give a curve. If no control force changes a direction of z at one frequency of a band, the bound also
-holds
-for a norm in this band. The weights are powers of two, so that the numbers of the plant are not rounded. The proofs, which are
-exact, then apply to the plant itself.
+holds for a norm in this band. The weights are powers of two, so that the numbers of the plant are not rounded. The proofs,
+which are exact, then apply to the plant itself.
 """
 
 import contextlib

@@ -34,8 +34,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     """Returns the front as a document.
 
     The document contains the ranges of the front, the comparison with other controllers, some points, and their distance from
-    the
-    lower bounds.
+    the lower bounds.
 
     Args:
         front: front to describe.
