@@ -31,7 +31,8 @@ class BandNorm:
 
     Attributes:
         value: largest gain in the band; infinite if a pole lies on the imaginary axis within the band.
-        peak_frequency: frequency in the band at which the gain has this value [rad/s]. It may be an edge of the band.
+        peak_frequency: frequency in the band at which the gain has this value [rad/s]. The frequency may be an edge of the
+            band.
         level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].
         high: upper edge of the band [rad/s]; may be infinite.

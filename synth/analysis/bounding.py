@@ -37,7 +37,7 @@ def certify_tightly(
 ) -> Certificate:
     """Returns the certificate of a stabilising gain, with a proved bound just above the norm if a proof succeeds.
 
-    `certify` does not compute an X. It checks a given X, or returns a certificate without a bound.
+    `certify` does not compute an X. `certify` checks a given X, or returns a certificate without a bound.
 
     Args:
         plant: plant with n states and m inputs.

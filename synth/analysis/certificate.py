@@ -1,4 +1,6 @@
-"""Certificates of gains by the Bounded Real Lemma. They are computed with numpy alone, without the solver that found the gains.
+"""Certificates of gains by the Bounded Real Lemma.
+
+Certificates are computed with numpy alone, without the solver that found the gains.
 
 The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feedthrough Dw from w to z (zero in the paper),
 the same Schur complement gives

@@ -1,5 +1,4 @@
-"""Lower bounds on the norm from invariant points: frequencies at which some direction of z depends on w only, not on the
-control.
+"""Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
 At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
 of this part is a lower bound. For a suspension, it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).

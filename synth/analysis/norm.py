@@ -193,7 +193,7 @@ class Gain:
     def grid_error(self, at: float) -> float:
         """Returns the relative amount by which a peak may exceed the best gain found, to second order.
 
-        Such a peak lies between the best frequency and the next frequency tried.
+        This higher peak would lie between the best frequency and the next frequency tried.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -201,8 +201,9 @@ class Gain:
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns `grid_error`, measured with twice the digits. It is used if rounding may have moved poles and misled the
-        search.
+        """Returns `grid_error`, measured with twice the digits.
+
+        This method is used if rounding may have moved poles and misled the search.
 
         Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
         """
@@ -404,8 +405,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns the frequencies at which a gain above the level may be found, shape (k,), and half their spacing, shape (k,)
-    [rad/s].
+    """Returns frequencies at which a gain above the level may be found, and half their spacing, shapes (k,) [rad/s].
 
     The frequencies are the crossings of the level, the ends of the interval, and the midpoints between them. Between two
     neighbouring crossings, the gain is above the level either everywhere or nowhere. If any gain exceeds the level, the gain at
@@ -418,9 +418,9 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the imaginary parts >= 0 of all eigenvalues of the Hamiltonian matrix [rad/s], shape (k,), k >= 1.
+    """Returns the imaginary parts >= 0 of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
 
-    They are in ascending order and begin with 0. They include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
+    The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
     equals the level.
     """
     A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw

@@ -1,7 +1,7 @@
 """Certificates as plain data, for logs and for vehicle files with designed gains.
 
-A record contains the numbers that a check cannot recompute: X of (20), and the dual certificates of the lower bound. It also
-contains the claimed norm and bounds, so that a check can compare them with the recomputed values.
+A record contains the numbers that a check cannot recompute: X of (20), and the dual certificates of the lower bound. A record
+also contains the claimed norm and bounds, so that a check can compare them with the recomputed values.
 """
 
 from collections.abc import Mapping

@@ -1,5 +1,4 @@
-"""Sampled-data loops: a plant that is measured once per period, with inputs held by a zero-order hold, lifted to a discrete
-plant.
+"""Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
 Over a period of T seconds, z and w are functions of time. For a level gamma, there is a discrete plant with as many states,
 
@@ -199,7 +198,7 @@ class SampledLoop(CheckedFields):
         u = K p,    s+ = A_register p + B_register u_a,
 
     where u_a is the force that acts at the end of the period. The noise of the measurements is a sequence e, whose energy is
-    the sum of its squares. It adds `noise` e to [u; s+].
+    the sum of its squares. The noise adds `noise` e to [u; s+].
 
     Attributes:
         plant: plant in continuous time with n states and m inputs.
@@ -398,9 +397,9 @@ class SampledLoop(CheckedFields):
 class SampledDataProblem:
     """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    The discrete plant of a level has additional states besides those of the plant. They are the previous forces that are still
-    delayed or part of a measurement, the latest first. Gains do not act on these states. A controller that uses its own
-    previous output is a control law with states.
+    The discrete plant of a level has additional states besides those of the plant. These states are the previous forces that
+    are still delayed or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses
+    its own previous output is a control law with states.
 
     Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. Held over T seconds, this velocity has the
     energy T s^2 in units of s. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum of

@@ -1,5 +1,4 @@
-"""L2 gain of a sampled-data loop from the continuous disturbance w to the continuous output z: the exact value and a lower
-bound.
+"""L2 gain of a sampled-data loop from the continuous w to the continuous z: the exact value and a lower bound.
 
 A level exceeds the gain if its discrete plant (`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The
 bilinear image of this loop has the same gains, and it is a continuous loop. The eigenvalues of its Hamiltonian matrix propose
@@ -7,12 +6,12 @@ the angles on the unit circle at which a gain is 1. The gain is evaluated at the
 largest gain, the level is changed until this gain is 1. The level is then the gain for a disturbance whose phase advances by
 this angle per sample.
 
-The second method gives a lower bound and does not use levels. It considers disturbances whose phase advances by an angle per
-sample, and which are polynomials of low degree over each part of the period. For these disturbances, matrix exponentials give x
-and the energy of z exactly. The largest gain among these disturbances is therefore the largest singular value of one matrix. It
-is the gain of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but of z itself, not of its samples.
-The worst disturbance is smooth, and the gain is stationary there. The error thus has the order 2 (degree + 1) in the length of
-the parts.
+The second method gives a lower bound and does not use levels. This method considers disturbances whose phase advances by an
+angle per sample, and which are polynomials of low degree over each part of the period. For these disturbances, matrix
+exponentials give x and the energy of z exactly. The largest gain among these disturbances is therefore the largest singular
+value of one matrix. This value is the gain of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but
+of z itself, not of its samples. The worst disturbance is smooth, and the gain is stationary there. The error thus has the order
+2 (degree + 1) in the length of the parts.
 """
 
 import math
@@ -91,8 +90,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
 
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
-    """Returns the transition of the state over h seconds, the effect of polynomials on the state, and a root of the energy of
-    z.
+    """Returns the transition of the state over h seconds, the effect of polynomials on it, and a root of the energy of z.
 
     The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy its small
     entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses it without loss of
@@ -199,7 +197,7 @@ class _Level:
         return largest_singular_values(self.Cd @ reached)
 
     def crossings(self) -> Array:
-        """Returns angles [rad] in ascending order from 0. They include all angles at which a singular value is 1."""
+        """Returns angles [rad] in ascending order from 0, including all angles at which a singular value is 1."""
         change, start = self.loop.closed(self.plant.increment)
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
@@ -299,8 +297,8 @@ class _Search:
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
         """Returns the level at which the gain at an angle [rad] is 1, and a lower level.
 
-        The third value is True if the lower level has no discrete plant. The search is a secant iteration in logarithms. It is
-        bracketed by a level that is too low and a level that is high enough.
+        The third value is True if the lower level has no discrete plant. The search is a secant iteration in logarithms. The
+        iteration is bracketed by a level that is too low and a level that is high enough.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -158,7 +158,7 @@ def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Ar
 def _closure(states: Array, inputs: Array) -> Array:
     """Returns the directions without cost of a continuous plant, as columns, shape (n, f).
 
-    They span the smallest space that contains B v if D v = 0 and, with every f, also A f + B v if C f + D v = 0.
+    The columns span the smallest space that contains B v if D v = 0 and, with every f, also A f + B v if C f + D v = 0.
     """
     n = states.shape[1]
     F = inputs[:n, :0]

@@ -205,8 +205,8 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns the possible changes of the state-feedback gains for an increase of gamma by FLAT.
 
-    The gain is that of the state feedback in the table, if the table has one; otherwise it is designed. It need not be the end
-    of its central path. The result is empty for a vehicle with integrals, whose state feedback is more than a gain.
+    The gain is that of the state feedback in the table, if the table has one; otherwise it is designed. This gain need not be
+    the end of its central path. The result is empty for a vehicle with integrals, whose state feedback is more than a gain.
 
     Returns:
         For each state: the largest gain on it, and how far this gain may fall and rise; None for an unlimited change.

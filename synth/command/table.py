@@ -284,7 +284,7 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Returns texts of the failures. The first has a note about the signs of the gains, if they may be the cause."""
+    """Returns texts of the failures. The first text has a note about the signs of the gains, if the signs may be the cause."""
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 

@@ -147,7 +147,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def feedback(self) -> "Controller":
-        """Controller without the force from the road ahead. It has the same poles and stability margins."""
+        """Controller without the force from the road ahead; its poles and stability margins are the same."""
         return self if self.preview is None else replace(self, preview=None)
 
     @property

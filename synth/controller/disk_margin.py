@@ -19,8 +19,8 @@ class DiskMargin:
     """Symmetric disk margin: tolerance of the loop to complex factors on all forces simultaneously, each with its own factor.
 
     Attributes:
-        size: margin from 0 to 2. It is exact for one force. For several forces, it is a lower bound, exact if their factors may
-            depend on each other.
+        size: margin from 0 to 2. The margin is exact for one force. For several forces, it is a lower bound, exact if their
+            factors may depend on each other.
         frequency: frequency at which the loop is closest to instability [rad/s].
     """
 

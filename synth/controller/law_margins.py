@@ -1,19 +1,19 @@
 """Warnings about a control law: instability of the law itself, windup, direct feedback, and small margins of its ideal loop.
 
-- A law is *unstable by itself* if its own states grow without measurements. It has a pole to the right of the imaginary axis,
-  or outside the unit circle.
+- A law is *unstable by itself* if its own states grow without measurements. Such a law has a pole to the right of the imaginary
+  axis, or outside the unit circle.
 - A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
-  or semi-active dampers). Its states grow, but the effect of its clipped forces on the measurements is bounded. Later
-  measurements can therefore not bring the states back. An integrator has a pole at 0 and does not count, because its states
-  grow no faster than the measurements.
+  or semi-active dampers). The states of the law grow, but the effect of its clipped forces on the measurements is bounded.
+  Later measurements can therefore not bring the states back. An integrator has a pole at 0 and does not count, because its
+  states grow no faster than the measurements.
 - *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
   from the force through these measurements back to the force. The ideal loop solves u = H u + ... . With sampling or any delay,
   each computed force contains H times the previous force. The force grows if the spectral radius of H is 1 or more.
 - The *margins* are those of the ideal loop, cut at all actuators together. The ideal loop is continuous, without `[limits]` and
   `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor on all forces,
-  nearest to 1, at which the loop is unstable. It is at most 1 / h for a positive eigenvalue h of H. A gain margin is small if
-  it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`. (Skogestad, Postlethwaite
-  2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each actuator.
+  nearest to 1, at which the loop is unstable. The gain margin is at most 1 / h for a positive eigenvalue h of H. A gain margin
+  is small if it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`. (Skogestad,
+  Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each actuator.
 """
 
 import math

@@ -1,12 +1,12 @@
 """Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
 
 The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. A controller may add sensor
-noise and loads on the body, which are disturbances in addition to the road. It may also add actuator lag, whose states are
-added to those of the vehicle.
+noise and loads on the body, which are disturbances in addition to the road. A controller may also add actuator lag, whose
+states are added to those of the vehicle.
 
-If z weights an integral, the integral is a state of the plant. It counts as measured if its signals are measured, because a law
-can integrate its measurements like the plant does. The first states of such a law are then states of the plant, and the closed
-loop contains them only once (`integral_action.py`).
+If z weights an integral, the integral is a state of the plant. The integral counts as measured if its signals are measured,
+because a law can integrate its measurements like the plant does. The first states of such a law are then states of the plant,
+and the closed loop contains them only once (`integral_action.py`).
 
 A law in a theoretical study may measure heights above the datum of a flat road. These contain the road height z_r, which then
 acts through the law:
@@ -304,7 +304,8 @@ def generalized_plant(
         bandwidth: corner frequency of the actuator lag [rad/s]; None for forces without lag.
         acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the requested
             force, which the controller determines.
-        loads: loads on the body, each with the value that counts as 1 m/s of w. They are disturbances after those of the road.
+        loads: loads on the body, each with the value that counts as 1 m/s of w. The loads are the last disturbances, after
+            those of the road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
     _check_integrals(vehicle, model)
@@ -434,8 +435,8 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effect of the road's warp as a separate disturbance, shapes (n, k) and (len(signals), k).
 
-    As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, it is bounded. It is
-    scaled by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
+    As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, the warp is bounded. The
+    warp is scaled by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)

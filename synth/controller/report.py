@@ -41,8 +41,9 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
     """Returns the norm of the sampled-data loop of a vehicle and a controller.
 
-    The result is None if `[implementation]` has neither sample period nor delay. It is also None for a stable loop without such
-    a norm: a law for theoretical study, with which a constant road height affects z, or which measures the road's warp.
+    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop
+    without such a norm. This occurs only with laws for theoretical study: a constant road height affects z, or the law measures
+    the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None
@@ -57,7 +58,8 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if the sampled-data loop can have a norm.
 
-    It has no norm if the continuous loop is stable but has no norm, or if measured heights contain the road's warp.
+    The sampled-data loop has no norm if the continuous loop is stable but has no norm, or if measured heights contain the
+    road's warp.
     """
     model, norm = vehicle.linear_model, controller.certificate.norm.value
     heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
@@ -138,7 +140,8 @@ def false_norm(
     Args:
         record: checked certificate; None if the controller has no certificate.
         vehicle: vehicle with the implementation of the controller.
-        norm_of_loop: function that computes the norm (`norm_if_implemented`). It is called only if the record claims a norm.
+        norm_of_loop: function that computes the norm (`norm_if_implemented`). This function is called only if the record claims
+            a norm.
     """
     said = (record or {}).get(SAMPLED_NORM)
     if said is None:

@@ -58,8 +58,9 @@ def sampled_growth_at(loop: Loop, period: float) -> float:
 
 
 def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
-    """Returns the transition matrices of a loop for several sample periods, from powers of one exponential, shape (count, N,
-    N).
+    """Returns the transition matrices of a loop for several sample periods, shape (count, N, N).
+
+    The matrices are powers of one matrix exponential.
 
     The sample periods are start + step, start + 2 step and so on [s]. A discrete law is replaced by its continuous counterpart,
     even at its own sample period.
@@ -117,9 +118,9 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     """Returns the shortest sample period at which a continuous loop is unstable with some forces sampled [s]; may be infinite.
 
     The search takes steps in the sample period that turn no pole by more than 0.05 rad, until all motion has decayed. The
-    product of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. Its
-    minima show instabilities that last for less than one step. The result is 0 if a force returns through its own measurement
-    without loss.
+    product of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. The
+    minima of this product show instabilities that last for less than one step. The result is 0 if a force returns through its
+    own measurement without loss.
 
     Args:
         loop: loop that is stable in continuous time.

@@ -7,7 +7,7 @@ Y), the margins are computed as follows:
 - Gain: a factor k moves a pole of A + k M to the imaginary axis only if two poles add up to zero. This requires that
   (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
 - Phase lag: z = exp(-j theta) moves a pole to the axis only if (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 /
-  z, this is a quadratic eigenvalue problem in z. Its solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
+  z, this is a quadratic eigenvalue problem in z. The solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
 - Delay: a delay of theta / w causes the lag theta. The delay margin is that of the crossover with the smallest delay.
 - Phase lead: a lead is 2 pi minus the lag. The crossover with the largest lag therefore has the smallest lead.
 - Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
@@ -102,7 +102,7 @@ class Margins:
     def smallest_phase(self) -> float:
         """Smallest phase lag of all crossovers [rad].
 
-        It is below `phase` if a crossover at a lower frequency needs less lag, but more delay.
+        This lag is below `phase` if a crossover at a lower frequency needs less lag, but more delay.
         """
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
@@ -126,8 +126,8 @@ def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
     """Returns all stability margins of a loop that is cut at some forces. The closed loop must be stable.
 
     For a sampled-data loop, the sample-period margin is not computed. The bilinear map z = (1 + s) / (1 - s) maps the unit
-    circle to the imaginary axis. It maps the loop to a continuous loop with the same crossovers and disk margin at other
-    frequencies.
+    circle to the imaginary axis. The same map turns the loop into a continuous loop with the same crossovers and disk margin at
+    other frequencies.
 
     Args:
         loop: closed loop, continuous or sampled.

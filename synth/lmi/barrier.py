@@ -268,8 +268,8 @@ def newton(
         here: derivatives of the barrier at the starting point, if they are known.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement. It is
-        infinite if rounding prevents its computation.
+        The minimiser, its Newton decrement, and the derivatives at the minimiser. Callers must check the decrement. The
+        decrement is infinite if rounding prevents its computation.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"

@@ -69,7 +69,7 @@ class CentralPoint:
 
     Attributes:
         X: matrix of (12), shape (n, n).
-        K: gain Y_R X_R^-1 of (13), shape (m, q). It acts on the q coordinates that R spans.
+        K: gain Y_R X_R^-1 of (13), shape (m, q). K acts on the q coordinates that R spans.
         eta: gamma^-2 of the point. The optimal eta is higher by at most (2 n + d) mu.
         mu: parameter of the path, relative to eta.
         proof: an X that proves the bound, if `X` itself does not because of states that are unobservable in z; else None.
@@ -366,7 +366,7 @@ class _Path:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """Returns the barrier for the search for a feasible point. Its last unknown is s."""
+        """Returns the barrier for the search for a feasible point. The last unknown is s."""
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
             return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)

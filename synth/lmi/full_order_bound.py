@@ -134,8 +134,7 @@ def _along_joint_path(
 
 
 def bound_beyond_control(plant: Plant) -> LowerBound:
-    """Returns the lower bound at the invariant point, which no control force can change; 0 if control can change every
-    direction.
+    """Returns the lower bound at the invariant point; 0 if control can change every direction of z.
 
     For a discrete plant, its continuous image only proposes the frequency.
     """

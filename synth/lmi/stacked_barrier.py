@@ -2,10 +2,10 @@
 
     S_v = -((20) of loop v) + t I > 0,    X > 0
 
-The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. Consider the second derivative of
--log det S if X changes along the unit matrices e_p e_q' and e_s e_t'. It is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where
-g = R' P L, r = L' P L and a = R' P R, as in `structured_barrier.py`. The sum over the loops is one matrix product, with n^4
-operations per loop.
+The unknowns are the symmetric matrix X and t. Let L = -[A; C], R = [I; 0] and P = S^-1. Consider the second derivative of -log
+det S if X changes along the unit matrices e_p e_q' and e_s e_t'. This derivative is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]),
+where g = R' P L, r = L' P L and a = R' P R, as in `structured_barrier.py`. The sum over the loops is one matrix product, with
+n^4 operations per loop.
 """
 
 # pyright: reportAttributeAccessIssue=false

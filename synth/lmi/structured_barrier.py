@@ -5,8 +5,8 @@ The Hessian needs n^4 operations; with a dense basis it needs n^6. Every constra
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
 with the unknowns X (symmetric, block diagonal), Y and p_N. Let P = S^-1. Consider the second derivative of -log det S if [X; Y]
-changes along the unit matrices e_p e_q' and e_s e_t'. It is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L
-and a = R' P R. It thus consists of products of entries of three small matrices.
+changes along the unit matrices e_p e_q' and e_s e_t'. This derivative is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P
+L, r = L' P L and a = R' P R. The derivative thus consists of products of entries of three small matrices.
 
 If S is nearly singular, the largest terms of the Hessian would hide the others in rounding errors. Therefore, the sums omit the
 part of P that belongs to the smallest eigenvalues of S. Householder reflections then add the rows of this part to the Cholesky

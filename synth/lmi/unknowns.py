@@ -92,7 +92,7 @@ class Basis:
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
     """Returns row and column indices in [X; Y] of all unknowns except eta.
 
-    The unknowns of X_Q and X_R on and above the diagonal come first, by rows. Those of Y_R follow, by rows.
+    The unknowns of X_Q and X_R on and above the diagonal come first, by rows. The unknowns of Y_R follow, by rows.
     """
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks

@@ -68,7 +68,7 @@ class UnobservableReduction:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant that proves the same bound. It is large enough along the removed states."""
+        """Returns an X of the whole plant that proves the same bound; its part of the removed states is large enough."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.completed_x(K, X, eta) @ inside.T

@@ -4,8 +4,8 @@ The states x_c of the law become integrators with their own inputs v (El Ghaoui,
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. It is
-then part of Bw and Dw of the larger plant.
+For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. This
+disturbance is then part of Bw and Dw of the larger plant.
 
 A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
 plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A

@@ -1,9 +1,9 @@
 """Discrete plants: the bilinear map to a continuous plant with the same norms, and accurate frequency responses.
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and its inside to the left half plane. A
-loop and its image therefore have the same stability and norm. They also have the same X of the bounded-real LMI (20), up to a
-factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w + Dyu u. The gain stays the same,
-but it acts in an algebraic loop.
+loop and its image therefore have the same stability and norm. A loop and its image also have the same X of the bounded-real LMI
+(20), up to a factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w + Dyu u. The gain
+stays the same, but it acts in an algebraic loop.
 
 A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves it is applied first. The plant with
 this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
@@ -124,7 +124,7 @@ def _away_from_minus_one(plant: Plant) -> Array:
 def _reach(plant: Plant) -> Array:
     """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it is 0 for all k.
 
-    An entry is the size of an input's first effect on a measurement. It does not depend on the units of the states.
+    An entry is the size of an input's first effect on a measurement. This size does not depend on the units of the states.
     """
     spread, reach = np.abs(plant.B), np.zeros((len(plant.Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):

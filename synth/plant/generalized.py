@@ -287,8 +287,9 @@ class Plant:
 
     @cached_property
     def differences(self) -> "Plant":
-        """Plant in differences: (x[k+1] - x[k]) / dt replaces x', so that its entries approach the continuous ones as dt
-        decreases.
+        """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
+
+        As dt decreases, its entries approach those of the continuous plant.
 
         The result has the form of a continuous plant, but its poles and norms are not those of the plant. A continuous plant is
         returned unchanged.
@@ -365,7 +366,7 @@ GeneralizedPlant = Plant  # public name
 
 
 def law_gain(law: LinearLaw) -> Array:
-    """Returns [D, C; B, A] of a law, shape (m + k, q + k). It is the static gain on the plant of `Plant.with_states`."""
+    """Returns [D, C; B, A] of a law, shape (m + k, q + k): its static gain on the plant of `Plant.with_states`."""
     return np.block([[law.D, law.C], [law.B, law.A]]) if law.states else law.D
 
 

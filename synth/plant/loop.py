@@ -13,8 +13,8 @@ sample is
 
 with the previous forces that still act, or that a measurement contains.
 
-In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force. It needs no additional
-state.
+In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force. A delayed force thus needs
+no additional state.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Normalisation of a plant and its measurements to numbers near 1, and the transformation of a law back to the given units.
 
 If the given units differ by powers of two, the normalised plant is the same bit for bit. A design therefore does not depend on
-the units. A design depends only on the span of the measurements. They are therefore replaced by an orthonormal basis, and
-dependent measurements are omitted.
+the units. A design depends only on the span of the measurements. The measurements are therefore replaced by an orthonormal
+basis, and dependent measurements are omitted.
 """
 
 from collections.abc import Sequence

@@ -48,9 +48,9 @@ class Band:
     def turning(self, time: float) -> Array:
         """Returns complex weights for Fourier integrals, shape (F,).
 
-        `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. It is accurate for any t [s], because f is
-        treated as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the spherical Bessel
-        function j_l, the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
+        `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
+        because f is treated as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the
+        spherical Bessel function j_l, the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
         """
         from scipy import special  # the import takes 0.1 s
 
@@ -73,8 +73,8 @@ def sample_band(
 
     Args:
         function: function of frequencies [rad/s], from shape (F,) to (F, ...).
-        checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. It returns c
-            nonnegative integrands whose integrals must be accurate, shape (F, c).
+        checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. The function returns
+            c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
         poles: poles of the function [rad/s], complex, shape (n,). Panels are short near poles.
         longest: largest length of a panel [rad/s].

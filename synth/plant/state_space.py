@@ -103,8 +103,8 @@ class StateSpace:
 
         Args:
             duration: time over which the inputs are held [s].
-            exponential: function that computes the matrix exponential. It is not used in discrete time, where steps are
-                repeated.
+            exponential: function that computes the matrix exponential. This function is not used in discrete time, where steps
+                are repeated.
         """
         n, k = self.B.shape
         if self.dt is None:

@@ -42,7 +42,7 @@ def reachable(plant: Plant, free: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y are near 1. They do not depend on the given units.
+    """Units in which the entries of a plant and of C_y are near 1, independent of the given units.
 
     The units are powers of two, so that conversion in either direction causes no rounding.
 
@@ -159,8 +159,8 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     """Returns the least-squares solution, in which some of the undetermined unknowns are 0.
 
     Among equally undetermined unknowns, the first one is set to 0. In a connected plant, all units except the rate are equally
-    undetermined. Rounding must not choose among them. It differs between machines, and an extreme unit might then determine all
-    others.
+    undetermined. Rounding must not choose among them. Rounding differs between machines, and an extreme unit might then
+    determine all other units.
 
     Args:
         normal: matrix of the normal equations, shape (N, N).

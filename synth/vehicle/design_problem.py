@@ -173,7 +173,8 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
 def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
     """Converts a preview of the plant's disturbances to a preview of the roads.
 
-    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`). It is also known in advance.
+    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`). The warp is also known in
+    advance.
     """
 
     model = vehicle.linear_model

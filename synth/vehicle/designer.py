@@ -172,7 +172,7 @@ class Designer:
 
     @check_arguments
     def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
-        """Returns a controller with its certificate. It is designed unless the vehicle file gives its law.
+        """Returns a controller with its certificate. The controller is designed unless the vehicle file gives its law.
 
         Args:
             name: name of a controller of the vehicle file, or `passive` or `state`.
@@ -385,7 +385,7 @@ def design(vehicle: Vehicle, name: str) -> Controller:
 
 
 def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], AT_LEAST_ONE]) -> list[Controller]:
-    """Designs or certifies controllers of a vehicle, given their names. They share the state-feedback step (22).
+    """Designs or certifies controllers of a vehicle, given their names. All designs share the state-feedback step (22).
 
     Args:
         vehicle: vehicle whose file defines the controllers.

@@ -9,8 +9,8 @@ sources, and W_k the frequency weighting. Then
     mean square = G_v integral of |W_k H e|^2 df.
 
 The loop is continuous, without limits, and its actuators deliver every force. `sim.drive` computes the ride of the sampled-data
-loop. Straight lines replace nonlinear characteristics of dampers and springs. They are not the tangents at equilibrium, which
-apply to far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
+loop. Straight lines replace nonlinear characteristics of dampers and springs. These lines are not the tangents at equilibrium,
+which apply to far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
     """Returns the expected weighted rms acceleration on an average road, at the worst of several points [m/s2].
 
-    The result is None if the ideal loop is not stable, or if no vertical acceleration of the body is a signal. It is also None
-    if no equivalent linear vehicle exists.
+    The result is None if the ideal loop is not stable, or if no vertical acceleration of the body is a signal. The result is
+    also None if no equivalent linear vehicle exists.
 
     Args:
         vehicle: vehicle of the controller.

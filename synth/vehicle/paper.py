@@ -5,7 +5,7 @@ Remark 4: with the states (30), problem (25) has no solution for L = 0. With z_s
 would require an additional state. The output z is the same.
 
 Remark 5: in [19], controller I was found by a genetic algorithm. `differential_evolution` represents this type of search here.
-It uses only the norm of a gain, within a given box. Its result depends on the box and on the seed.
+This search uses only the norm of a gain, within a given box. The result depends on the box and on the seed.
 """
 
 import math

@@ -35,7 +35,7 @@ def from_state_space(
             its sample period [s].
         disturbances: names of the inputs that are disturbances w. All other inputs are controls u.
         performance: weights of the outputs that form z, by name.
-        measured: names of the outputs that form y. They must not contain u or w directly.
+        measured: names of the outputs that form y. These outputs must not contain u or w directly.
 
     Returns:
         The plant, continuous or discrete like the system, and C_y of shape (q, n).
@@ -196,7 +196,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
     Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because a bounded road
     velocity does not bound them. The first inputs are the road velocities [m/s]. If road warp acts by its height, as in a full
-    car, each warp is a further input. It is given as a velocity: height times `twist_rate` of the linear model.
+    car, each warp is a further input. A warp is given as a velocity: its height times `twist_rate` of the linear model.
 
     Args:
         vehicle: vehicle whose outputs are those of the loop.

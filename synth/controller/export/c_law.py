@@ -256,7 +256,7 @@ def _ranges(
 
 @dataclass
 class PythonStep:
-    """Exported computation in Python. Its results equal those of the C code bit for bit.
+    """Exported computation in Python, whose results equal those of the C code bit for bit.
 
     Attributes:
         law: exported law.

@@ -1,4 +1,4 @@
-"""C99 source of an exported law. It uses no heap and no library, sums in a fixed order, and prefixes every name.
+"""C99 source of an exported law. The source uses no heap and no library, sums in a fixed order, and prefixes every name.
 
 For fixed point, the source uses integers only. Sums have 64 bits, and every result is clipped instead of overflowing.
 """

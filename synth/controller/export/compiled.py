@@ -68,7 +68,7 @@ class ExportedCode:
         return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
     def start(self) -> "CompiledStep":
-        """Returns the code in its initial state. It is compiled at its first use.
+        """Returns the code in its initial state; the code is compiled at its first use.
 
         Raises:
             InputError: there is no compiler, or the compiler rejects the code.

@@ -99,7 +99,7 @@ class Cost:
     Attributes:
         controller: controller of the loop.
         ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
-        lower_bound: lower bound on the norm with these measurements at any rate; None if it is unknown. It is proved for
+        lower_bound: lower bound on the norm with these measurements at any rate; None if it is unknown. The bound is proved for
             time-invariant controllers, and time-varying controllers are not better (Khargonekar, Poolla 1986).
         delay: delay of the forces in the delayed case [samples].
         rates: norms at the sample rates, by increasing period.
@@ -189,7 +189,7 @@ def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near:
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the lower bound for controllers without delay. It also holds with delay or lag, which only restrict controllers.
+    """Returns the lower bound for controllers without delay; the bound also holds with delay or lag.
 
     The result is None if z weights an integral, because the norms at the rates do not include it.
     """

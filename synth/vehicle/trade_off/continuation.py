@@ -2,7 +2,8 @@
 
 A ray is given by a point u of the plane through the ends. Its design minimises the largest v_k / u_k, where v_k are the norms
 of the axes (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
-descent is that of a design for goals. It starts at the known design that is best for the ray, so that it is short.
+descent is that of a design for goals. A descent starts at the known design that is best for the ray, so that the descent is
+short.
 """
 
 from collections.abc import Iterator, Sequence
