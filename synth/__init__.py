@@ -1,26 +1,29 @@
-"""Controllers: LMIs over any linear plant, and certificates. Nothing below `controller/` knows a vehicle.
+"""Controller design for any linear plant by linear matrix inequalities (LMIs), with a proved certificate for every design.
 
-Public names, imported when they are first used; all units are SI:
+Public names. All units are SI. Each name is imported when it is first used:
 
-- of a vehicle: `design_controllers`, `Designer`, `Controller`
-- any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
-- any plant, every type of design: `design_feedback`, which returns a `FeedbackDesign`
-- static gains: `two_step_design`, `static_output_feedback`, `refine`; for goals `multi_objective_design` of a
-  `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`, `MeasuredPlant`, `GainErrors`; `slack_design` goes
-- controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`
-- analysis of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
-  `sampled_norm` of a `SampledLoop`, as of `SampledLoop.of_gain`; its period has a `HoldInterval` or two
-- python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
-- failures: `DesignError`, `InfeasibleError`; a design never returns an empty controller
+- Vehicle files: `design_controllers` designs the controllers of a file. See also `Designer` and `Controller`.
+- Plants: `GeneralizedPlant` (continuous, or discrete if `dt` is given) and `Feedback` (a gain and its measurements).
+- All design methods: `design_feedback` selects the method and returns a `FeedbackDesign`.
+- Static gains: `two_step_design`, `static_output_feedback` and `refine`. `multi_objective_design` solves a
+  `MultiObjectiveProblem`, which consists of `NormSpecification`, `FamilyMember`, `MeasuredPlant` and `GainErrors`.
+  `slack_design` is deprecated.
+- Dynamic controllers and quadratic designs: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`.
+- Analysis of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`.
+- Analysis of a sampled-data loop: `sampled_norm` of a `SampledLoop`, for example from `SampledLoop.of_gain`. A `HoldInterval`
+  describes the part of a sample period in which the forces are constant.
+- Conversion to and from python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`.
+- Errors: `DesignError` and `InfeasibleError`. A design raises an error if it finds no controller.
 
-All other names of a module may move without notice.
+Start reading at `synth/vehicle/designer.py` for vehicles, and at `synth/design/feedback.py` for other plants. Only the package
+`synth/vehicle` and packages above it use vehicles. Names that are not in this list may move without notice.
 """
 
 import sys
 
 try:
     from models.common.lazy import attach
-except Exception as error:  # a file or a folder of the user's has the name of a package of ours
+except Exception as error:  # a file or folder of the user has the same name as a package of Roadproof
     from importlib.util import find_spec
 
     _spec = find_spec("models")

@@ -1,1 +1,1 @@
-"""Analysis of a closed loop with numpy and integers, without a solver: stability, norms, proofs, lower bounds, sampled data."""
+"""Analysis of a closed loop without an LMI solver: stability, norms, proofs, lower bounds and sampled-data analysis."""

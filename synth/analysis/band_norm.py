@@ -1,13 +1,14 @@
-"""The norm of a loop within a band of frequencies: by level sets and sweeps.
+"""H-infinity norm of a loop within a frequency band, computed from level sets and from a frequency sweep.
 
-The norm is computed like the norm on the whole axis (`synth/analysis/norm.py`), by the same two routes. It lies between two
-levels: one that the gain reaches at a frequency of the band, and one slightly above, which no frequency of the band exceeds. To
-check the upper level, the imaginary part of every eigenvalue of the Hamiltonian is tried as a crossing, whatever its real part.
-Between neighbouring crossings, or a crossing and an edge, the gain lies above the level everywhere or nowhere.
+The norm in a band is computed like the norm over all frequencies (`synth/analysis/norm.py`), by the same two methods. The
+result lies between two levels. The gain reaches the lower level at a frequency of the band. No frequency of the band exceeds
+the upper level, which is slightly higher. To check the upper level, the imaginary part of every eigenvalue of the Hamiltonian
+matrix is treated as a possible crossing, regardless of its real part. Between two neighbouring crossings, or between a crossing
+and an edge of the band, the gain is above the level either everywhere or nowhere.
 
-**A norm in a band does not imply stability**, nor anything at other frequencies. For a stable loop, the norm is the largest
-amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it, so its
-norm is not an amplification.
+**A norm in a band does not imply stability**, and it implies nothing about other frequencies. For a stable loop, the norm is
+the largest amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but the response to a
+sinusoid does not reach a steady state. The norm of an unstable loop is therefore not an amplification.
 """
 
 from dataclasses import dataclass
@@ -26,17 +27,18 @@ from synth.plant.numerics import DesignError, numerics
 
 @dataclass(frozen=True, eq=False)
 class BandNorm:
-    """The largest gain within a band, its frequency and a level that bounds it.
+    """Largest gain of a loop within a frequency band.
 
     Attributes:
-        value: norm, attained at `peak_frequency`; infinite if a pole is on the axis within the band.
-        peak_frequency: frequency of the peak, in the band, edges included [rad/s].
-        level: slightly above the value; no gain within the band exceeds it.
+        value: largest gain in the band; infinite if a pole lies on the imaginary axis within the band.
+        peak_frequency: frequency in the band at which the gain has this value [rad/s]. The frequency may be an edge of the
+            band.
+        level: upper bound on the gain in the band, slightly above `value`.
         low: lower edge of the band [rad/s].
-        high: upper edge [rad/s]; may be infinite.
-        gap: relative difference between the two routes.
-        rounding: first-order bound on the relative rounding error of the value.
-        stability: stability of the loop; if it is unstable, the value is not an amplification.
+        high: upper edge of the band [rad/s]; may be infinite.
+        gap: relative difference between the results of the two methods.
+        rounding: first-order bound on the relative rounding error of `value`.
+        stability: stability of the loop. If the loop is unstable, `value` is not an amplification.
     """
 
     value: float
@@ -50,7 +52,7 @@ class BandNorm:
 
     @property
     def words(self) -> str:
-        """The norm in the band on one line."""
+        """One-line text with the norm in the band."""
         band = f"{rough(self.low / (2 * np.pi))} to {rough(self.high / (2 * np.pi))} Hz"
         if not np.isfinite(self.value):
             return f"norm from {band}: infinite, as a pole at {rough(self.peak_frequency)} rad/s does not decay"
@@ -60,12 +62,16 @@ class BandNorm:
 
 @numerics()
 def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
-    """Returns the largest gain from w to z with u = 0 at any frequency from low to high.
+    """Returns the largest gain from w to z within a frequency band, for u = 0.
 
     Args:
-        loop: loop in continuous or discrete time; a controlled one is `plant.closed_loop(...)`.
-        low: 0 or more [rad/s].
-        high: upper frequency, above low [rad/s]; may be infinite. The gain of a discrete loop repeats beyond pi / dt.
+        loop: loop in continuous or discrete time; for a plant with a controller, use `plant.closed_loop(...)`.
+        low: lower edge of the band, at least 0 [rad/s].
+        high: upper edge of the band, above `low` [rad/s]; may be infinite. The gain of a discrete loop is periodic, so
+            frequencies above pi / dt add nothing.
+
+    Returns:
+        The norm, its frequency [rad/s] and an upper bound on the gain in the band, as a `BandNorm`.
 
     Raises:
         InputError: the band is empty or out of range.
@@ -95,7 +101,7 @@ def norm_in_band(loop: Plant, low: float, high: float) -> BandNorm:
 
 
 def check_band(low: float, high: float) -> None:
-    """Raises an InputError if 0 <= low < high [rad/s] is violated."""
+    """Raises an InputError unless 0 <= low < high [rad/s]."""
     if not 0 <= low < high:
         raise InputError(
             f"low = {short_repr(low)} to high = {short_repr(high)} rad/s is not a frequency band; give low from 0 upwards, and "
@@ -122,7 +128,7 @@ def _gain(loop: Plant, low: float, high: float) -> Gain:
 
 
 def exceeds(gain: Gain, level: float) -> bool:
-    """Returns True if the gain exceeds the level at some frequency of its interval."""
+    """Returns True if the gain exceeds the level at some frequency of the band of `gain`."""
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))

@@ -1,4 +1,4 @@
-"""The proof of a norm: an X for the bounded-real LMI (20), from a Riccati equation instead of an LMI solver."""
+"""Proof of a norm bound: computes an X for the bounded-real LMI (20) from a Riccati equation instead of an LMI solver."""
 
 from dataclasses import replace
 from itertools import product
@@ -19,13 +19,13 @@ from synth.plant.units import size
 if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
-MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of the bound from the norm; the first that is proved counts
-SMALL = (1e-9, 1e-6, 1e-3)  # relative to the size of the plant's matrices: bounds for norms that are nearly zero
-ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a share of the margin: small, but more than rounding
-EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # noise on every state, as a share of the disturbance's power, so that X > 0
-LOOSE = (1.0, 10.0, 100.0)  # margins if rounding leaves no closer proof, as for a z in which large states cancel
-LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)  # with LOOSE: noise as a share of z's power, more on states that z observes less
-UNOBSERVABLE = 1e-14  # relative to the largest: a smaller observability is rounding
+MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order until one is proved
+SMALL = (1e-9, 1e-6, 1e-3)  # bounds for norms that are nearly zero, relative to the gain that the size of the matrices suggests
+ADDED_NOISE = (1e-1, 1e-3, 1e-6)  # noise added to Bw Bw', as a fraction of the margin: small, but larger than rounding errors
+EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # noise on every state, relative to the disturbance's power; it makes X > 0
+LOOSE = (1.0, 10.0, 100.0)  # larger margins, tried if rounding prevents a closer proof, for example if large states cancel in z
+LEAST_SEEN = (1e-2, 1e-3, 1e-4, 1e-5)  # for LOOSE: noise relative to the power of z, larger on states that z observes less
+UNOBSERVABLE = 1e-14  # observability relative to the largest; smaller values are rounding errors
 
 
 @numerics()
@@ -35,25 +35,27 @@ def certify_tightly(
     lower_bound: "LowerBound | None" = None,
     plant_without_law: Plant | None = None,
 ) -> Certificate:
-    """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
+    """Returns the certificate of a stabilising gain, with a proved bound just above the norm if a proof succeeds.
 
-    `certify` checks a given X instead, or gives no bound.
+    `certify` does not compute an X. `certify` checks a given X, or returns a certificate without a bound.
 
     Args:
-        G: the gain from measurements (6), or a state gain, shape (m, n).
-        lower_bound: lower bound on the norm of any controller of the gain's type.
-        plant_without_law: see `certify`.
+        plant: plant with n states and m inputs.
+        G: gain from the measurements, as in (6), or a state gain of shape (m, n).
+        lower_bound: lower bound on the norm for all controllers of the same type as G.
+        plant_without_law: plant without the states of the controller, as in `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, plant_without_law=plant_without_law)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
-    # A peak near z = -1 is mapped to 0, not to infinity: there the weight of the Riccati equation would be singular.
+    # If the peak is near z = -1, the loop is mapped so that z = -1 becomes 0 instead of infinity. At infinity, the weight of
+    # the Riccati equation would be singular.
     near_nyquist, step = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
     loop = FEATURES.load("discrete plants").continuous_loop(plant.closed_loop(G), turned=near_nyquist)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
     rates = plant.differences
     unit = float(np.linalg.norm(rates.Dw, 2)) + size(rates.C) * size(rates.Bw) / size(rates.A)
-    # If the norm is zero to rounding, an absolute bound can be proved.
+    # If the norm is zero up to rounding, an absolute bound is proved instead of a relative one.
     small = [(least * unit, 1.0) for least in SMALL if least * unit > 2 * plain.norm.value]
     close = above[: len(MARGINS)]
     for levels, everywhere, least_seen in ((close, EVERYWHERE, False), (above, LEAST_SEEN, True), (small, EVERYWHERE, False)):
@@ -69,23 +71,24 @@ def certify_tightly(
 
 
 def certify_law(plant: Plant, law: LinearLaw, lower_bound: "LowerBound | None" = None) -> Certificate:
-    """Returns the certificate of a law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
+    """Returns the certificate of a control law on the measurements of a plant; see `certify_tightly` and `Plant.with_law`."""
     return certify_tightly(*plant.with_law(law), lower_bound, plant_without_law=plant)
 
 
 def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
     """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
-    X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a
-    margin (Zhou, Doyle, Glover 1996, section 13.5): Bw~ Bw~' is Bw Bw' plus `more` times a noise. The equation is solved in
-    coordinates in which that noise gives the states the covariance I, so that no unit costs digits.
+    X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, which is the Schur complement of
+    (20) with a margin (Zhou, Doyle, Glover 1996, section 13.5). Bw~ Bw~' is Bw Bw' plus `more` times a noise. The equation is
+    solved in coordinates in which this noise gives the states the covariance I. The accuracy therefore does not depend on the
+    units.
 
     Args:
-        loop: loop in continuous time, stable.
-        gamma: bound, above the norm.
-        more: share of the noise; small against the relative distance of gamma from the norm.
-        everywhere: share of the noise that acts on every state, also on those not controllable from w.
-        least_seen: True to assign more of that share to directions that are less observable in z.
+        loop: stable loop in continuous time.
+        gamma: bound, larger than the norm.
+        more: factor on the noise; small compared with the relative distance of gamma from the norm.
+        everywhere: fraction of the noise that acts on every state, including states that are not controllable from w.
+        least_seen: True to give more of this fraction to directions that are less observable in z.
 
     Raises:
         LinAlgError: rounding prevents a solution.
@@ -105,7 +108,7 @@ def bounding_x(loop: Plant, gamma: float, more: float, everywhere: float, least_
     T = np.linalg.cholesky((covariance + covariance.T) / 2)
     loop = loop.in_coordinates(T)
     noise = np.linalg.solve(T, np.linalg.solve(T, noise).T)
-    noise = (noise + noise.T) / 2  # the Riccati solver refuses a matrix that rounding made unsymmetric
+    noise = (noise + noise.T) / 2  # the Riccati solver rejects a matrix that is not symmetric because of rounding
     constant = eta * (loop.Bw @ loop.Bw.T + more * noise)
     weight = -(np.eye(d) - eta * loop.Dw @ loop.Dw.T)
     X = linalg.solve_continuous_are(loop.A.T, loop.C.T, constant, weight, s=eta * loop.Bw @ loop.Dw.T)

@@ -1,29 +1,32 @@
-"""Certificates of gains by the Bounded Real Lemma, computed with numpy alone, without the solver that found the gains.
+"""Certificates of gains by the Bounded Real Lemma.
 
-The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feed-through Dw from w to z (zero in the paper)
+Certificates are computed with numpy alone, without the solver that found the gains.
+
+The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feedthrough Dw from w to z (zero in the paper),
 the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
 
-which is still affine in X, Y and eta = gamma^-2.
+which is affine in X, Y and eta = gamma^-2.
 
-For a discrete closed loop it is
+For a discrete closed loop, the inequality is
 
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design therefore uses a larger matrix, of which this one is the Schur complement. With the plant
-in differences over a step T (`Plant.differences`) and X T instead of X, it is the continuous matrix, bordered:
+which is not affine in a gain. A design therefore uses a larger matrix, whose Schur complement is this one. This larger matrix
+is the continuous matrix with additional rows and columns, if the plant is written in differences over a step T
+(`Plant.differences`), and X T replaces X:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-As T falls, its entries tend to those of the continuous matrix: at 1 kHz no digits cancel.
+As T decreases, its entries approach those of the continuous matrix. No digits cancel, for example, at a sample rate of 1 kHz.
 
-The LMI is *proved*, in exact arithmetic on the given numbers (`analysis/rigorous.py`). This proves that the loop A + B G is
-stable and its norm below the bound. The norm itself is computed by two routes.
+The LMI is *proved* in exact arithmetic on the given numbers (`analysis/rigorous.py`). This proves that the loop A + B G is
+stable and that its norm is below the bound. The norm itself is computed by two methods.
 """
 
 from collections.abc import Callable
@@ -53,20 +56,22 @@ if TYPE_CHECKING:
     from synth.analysis.lower_bound import LowerBound
 
 
-_BOUND = "a lower bound, such as synth.find_lower_bound returns or None"  # whose class is imported where it is proved
+_BOUND = "a lower bound, such as synth.find_lower_bound returns or None"  # the class itself is imported only where it is used
 KnownBound = Annotated[
     "LowerBound | None", Must(_BOUND, lambda one: one is None or type(one).__name__ in ("LowerBound", "LaterBound"))
 ]
 
 
 def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
-    """Returns the left side of (21), shape (n + d, n + d); n more if a step is given. With Y = 0 it is (20) for the plant.
+    """Returns the matrix on the left side of (21), shape (n + d, n + d). With Y = 0, this is the matrix of (20).
 
     Args:
-        X: shape (n, n), symmetric.
-        Y: shape (m, n).
+        plant: plant with n states, m inputs and d outputs z.
+        X: symmetric matrix, shape (n, n).
+        Y: matrix of shape (m, n).
         eta: gamma^-2.
-        step: sample period of a difference equation [s]; 0 for a continuous plant.
+        step: sample period of a plant in differences [s]; 0 for a continuous plant. With a step, the result has n more rows and
+            n more columns.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -80,11 +85,14 @@ def bounded_real_matrix(plant: Plant, X: Array, Y: Array, eta: float, step: floa
 
 
 def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> Array:
-    """Returns the left side of (20), or its discrete form, for the loop A + B G, C + D G: exact, then each entry rounded once.
+    """Returns the left side of (20), or its discrete form, for the loop A + B G, C + D G.
+
+    The matrix is computed exactly. Each entry is then rounded once.
 
     Args:
-        G: shape (m, n), or a gain from measurements.
-        X: shape (n, n), symmetric.
+        plant: plant with n states and m inputs.
+        G: state gain, shape (m, n), or a gain from measurements.
+        X: symmetric matrix, shape (n, n).
         eta: gamma^-2.
 
     Raises:
@@ -93,7 +101,7 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
     n, m = plant.B.shape
     (system, of_plant), (gain, of_gain), (whole, of_X) = integers(plant.system_matrix), _gain(G), integers(X)
     eta_top, eta_bottom = float(eta).as_integer_ratio()
-    of_loop = of_plant * of_gain  # denominators, each of a matrix or of the terms with X or eta
+    of_loop = of_plant * of_gain  # the `of_` and `over_` variables are denominators of a matrix, or of the terms with X or eta
     loop = system[:, :n] * of_gain + product(system[:, n : n + m], gain)
     F = product(loop, whole)
     if plant.dt is None:
@@ -110,29 +118,29 @@ def bounded_real_exactly(plant: Plant, G: Array | Feedback, X: Array, eta: float
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
-    """Returns the state gain as integers and their denominator, like `integers`."""
+    """Returns the state gain as integers, and their common denominator, like `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
     (gain, of_gain), (rows, of_rows) = integers(G.K), integers(G.Cy)
     return product(gain, rows), of_gain * of_rows
 
 
-FASTEST = 100.0  # times the plant's speed: hardly any actuator is faster
-SLOWEST = 1e-7  # likewise, of a decay: a slower one is none, as a day is to a second
-BELOW = 1e-9  # relative: rounding may put a norm so far below the lower bound
-ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
-PEAKS_AGREE = 1e-9  # relative; allowed difference of the norm and the gain at the claimed peak: a peak is flat
+FASTEST = 100.0  # multiple of the plant's speed; actuators are rarely faster
+SLOWEST = 1e-7  # multiple of the plant's speed; a slower decay is negligible in practice (1 s compared with 100 days)
+BELOW = 1e-9  # relative distance by which rounding may put a norm below the lower bound
+ROUTES_AGREE = 1e-6  # allowed relative difference of the two norms; for a well-conditioned plant the difference is about 1e-12
+PEAKS_AGREE = 1e-9  # allowed relative difference between the norm and the gain at the claimed peak; the gain is flat at a peak
 
 
 @dataclass(frozen=True, eq=False)
 class LmiProof:
-    """The proof of a bound: X > 0 and LMI (20) < 0, or its discrete form (`certificate.py`).
+    """Proof of a bound: X > 0 and LMI (20) < 0, or the discrete form of (20) (see the module docstring of `certificate.py`).
 
     Attributes:
-        X: shape (n, n), symmetric.
+        X: symmetric matrix, shape (n, n).
         eta: gamma^-2.
-        positive: definiteness of X.
-        negative: definiteness of minus the left side of (20).
+        positive: result of the check that X is positive definite.
+        negative: result of the check that minus the left side of (20) is positive definite.
     """
 
     X: Array
@@ -147,12 +155,12 @@ class LmiProof:
 
     @property
     def bound(self) -> float:
-        """eta^-1/2, rounded upwards."""
+        """Proved bound gamma = eta^-1/2, rounded up."""
         return bound_of(self.eta)
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The inequalities that are not proved, in words."""
+        """Texts about the inequalities that are not proved."""
         failures = []
         if not self.positive.proved:
             failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
@@ -164,7 +172,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
-    """Returns why an inequality does not count as proved."""
+    """Returns a text that explains why an inequality is not proved."""
     if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or the magnitude of an entry exceeds 1e200"
     if definiteness.smallest <= 0:
@@ -176,19 +184,19 @@ def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Def
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(ShownResult):
-    """The claims about a closed loop, with their proofs.
+    """Claims about a closed loop, and their proofs.
 
     Attributes:
-        loop: the closed loop itself.
-        stability: poles of the loop, and its verdict.
-        own: the stability without the poles of filters in z and w, which no control moves.
-        norm: the H-infinity norm by two routes, and its peak frequency.
-        proof: proof of the bound; None for a gain without one.
-        speed_up: magnitude of the fastest pole of `own`, over the plant's speed without control.
-        moves: True if the plant's speed is that of its fastest pole. If all poles lie at 0, the speed is the rate at which motion
-            and driving force have equal weight in z (`units.own_units`).
-        norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
-        below: proof of the lower bound for controllers of this kind; None if it was not requested.
+        loop: closed loop.
+        stability: poles of the loop, and whether they are stable.
+        own: stability without the poles of the filters in z and w, which no controller can move.
+        norm: H-infinity norm, computed by two methods, and the frequency of the peak.
+        proof: proof of the bound; None if there is no bound.
+        speed_up: magnitude of the fastest pole of `own`, divided by the speed of the plant without control.
+        moves: True if the speed of the plant is the magnitude of its fastest pole. False if all poles are at 0; then the speed
+            is the rate at which motion and driving force have equal weight in z (`units.own_units`).
+        norm_rounding: threshold below which a norm counts as zero, so that its two values need not agree.
+        below: proof of the lower bound for controllers of the same type; None if no lower bound was requested.
     """
 
     public_name = "a certificate, such as synth.certify returns"
@@ -205,19 +213,19 @@ class Certificate(ShownResult):
 
     @property
     def summary(self) -> Document:
-        """Norm, bound and lower bound, and the claims that fail."""
+        """Document with the norm, the bound, the lower bound, and the claims that fail."""
         return facts(f"certificate: {'FAILS' if self.failures else 'holds'}", self.claims)
 
     @property
     def claims(self) -> dict[str, str]:
-        """Norm, bound and lower bound, and the claims that fail, as text; empty if absent."""
+        """Norm, bound and lower bound as texts, and the claims that fail; a missing value has an empty text."""
         known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
         texts = {name: "" if value is None else digits(value) for name, value in known.items()}
         return texts | {"failures": "; ".join(self.failures)}
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """The gain of the closed loop over frequency, with bound and lower bound."""
+        """Figure of the gain of the closed loop over frequency, with the bound and the lower bound."""
 
         loop, levels = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
         title = "Largest singular value of the closed loop, from w to z."
@@ -225,49 +233,49 @@ class Certificate(ShownResult):
 
     @property
     def bound(self) -> float | None:
-        """The gamma that the LMI proves; None for a gain without a proof."""
+        """Bound gamma that the LMI proves; None if there is no proof."""
         return self.proof.bound if self.proof is not None else None
 
     @property
     def lower_bound(self) -> float | None:
-        """Lower bound on the norm for controllers of this kind; None if it was not requested, or only zero is proved."""
+        """Lower bound on the norm for controllers of the same type; None if it was not requested, or if only 0 is proved."""
         return (self.below.gamma or None) if self.below is not None else None
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); z of a discrete loop."""
+        """Eigenvalues of A + B K C_y, complex, shape (n,) [rad/s]; poles z [-] if the loop is discrete."""
         return self.stability.poles
 
     @property
     def stable(self) -> bool:
-        """True if all poles lie left of the imaginary axis, or within the unit circle, by more than rounding."""
+        """True if all poles are stable by more than rounding: left of the imaginary axis, or (discrete) in the unit circle."""
         return self.stability.stable
 
     @property
     def gap(self) -> float | None:
-        """Relative distance of the norm from the lower bound; None without such a bound, or without a finite norm."""
+        """Relative distance of the norm from the lower bound; None if there is no lower bound, or if the norm is infinite."""
         if self.lower_bound is None or not np.isfinite(self.norm.value):
             return None
         return self.norm.value / self.lower_bound - 1
 
     @property
     def beyond_actuators(self) -> bool:
-        """True if the loop needs faster actuators than exist. Then the proofs hold, but the gain may be useless."""
+        """True if the loop needs faster actuators than exist. The proofs hold in this case, but the gain may be useless."""
         return self.speed_up > FASTEST
 
     @property
     def hardly_decays(self) -> bool:
-        """True if a stable loop has a pole whose decay is next to nothing. Its proofs hold, as of any stable loop."""
+        """True if a stable loop has a pole with negligible decay. The proofs hold, as for any stable loop."""
         return self.own.stable and -float(self.own.growth.max(initial=-np.inf)) < SLOWEST * self.speed * (self.loop.dt or 1.0)
 
     @property
     def speed(self) -> float:
-        """The plant's speed without control, of which `speed_up` is a multiple [rad/s]."""
+        """Speed of the plant without control [rad/s], the reference of `speed_up`."""
         return float(self.own.rates.max(initial=0.0)) / self.speed_up if self.speed_up else 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes that make no claim fail, in words."""
+        """Texts of warnings about the loop that do not contradict a claim."""
         remarks = []
         if self.hardly_decays:
             rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
@@ -288,7 +296,7 @@ class Certificate(ShownResult):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The claims that do not hold, in words; empty if all do."""
+        """Texts of the claims that do not hold; empty if all claims hold."""
         if self.gap is None or self.gap >= -BELOW:
             return self.loop_failures
         below = f"the norm {digits(self.norm.value)} is below the lower bound {digits(self.lower_bound)}"
@@ -296,7 +304,7 @@ class Certificate(ShownResult):
 
     @property
     def loop_failures(self) -> tuple[str, ...]:
-        """The claims about the loop alone that do not hold; the lower bound is of all controllers, and is not read for them."""
+        """Texts of the claims about the loop alone that do not hold. The lower bound is not checked, as it needs a proof."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -313,7 +321,10 @@ class Certificate(ShownResult):
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
-        """Returns True if the gain at omega [rad/s] is the norm. A peak is flat: its frequency is accurate to 1e-5 only."""
+        """Returns True if the gain at omega [rad/s] equals the norm.
+
+        The gain is flat at a peak, so the frequency of a peak is accurate to a relative error of about 1e-5 only.
+        """
         if not np.isfinite(self.norm.value):
             return False
         there = gain_at(self.loop, omega)
@@ -331,21 +342,26 @@ def certify(
     lower_bound: KnownBound = None,
     plant_without_law: Plant | None = None,
 ) -> Certificate:
-    """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
+    """Computes the certificate of a gain. If X and eta are given, checks whether they prove a bound.
 
-    Without an X there is no bound. `certify_tightly` computes an X, which takes several times as long.
+    X and eta can come from an LMI solution or from a design record. Without them, the certificate contains no bound.
+    `certify_tightly` computes X and eta itself, which takes several times as long.
 
     Args:
-        plant: n states, m inputs.
-        G: the gain from measurements (6), taken without rounding; or a state gain, shape (m, n).
-        X: the matrix of (20), shape (n, n).
-        eta: gamma^-2 of (20); given with X.
-        lower_bound: lower bound on the norm of any controller of the gain's type.
-        plant_without_law: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the
-            filter states. Default: the plant.
+        plant: plant with n states and m inputs.
+        G: gain from the measurements, as in (6), used without rounding; or a state gain of shape (m, n).
+        X: symmetric matrix of (20), shape (n, n).
+        eta: gamma^-2 of (20), required if X is given.
+        lower_bound: lower bound on the norm for all controllers of the same type as G.
+        plant_without_law: plant without the states of the controller. Its speed is the reference of `Certificate.speed_up`, and
+            its `weights` determine which states belong to filters. Default: `plant`.
+
+    Returns:
+        Stability, H-infinity norm, and, if X and eta are given, the proof of the bound eta^-1/2, as a `Certificate`. Its
+        `failures` list the claims that do not hold.
 
     Raises:
-        InputError: eta or X is out of range, or X has another shape.
+        InputError: eta or X is out of range, or X has the wrong shape.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, certify
@@ -377,13 +393,14 @@ def certify(
 
 
 def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
-    """Checks if X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
+    """Checks whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    The matrix of (20), see `certificate.py`, is computed from the given numbers without rounding.
+    The matrix of (20) (see the module docstring of `certificate.py`) is computed from the given numbers without rounding.
 
     Args:
-        G: shape (m, n), or a gain from measurements.
-        X: shape (n, n); its symmetric part counts.
+        plant: plant with n states and m inputs.
+        G: state gain, shape (m, n), or a gain from measurements.
+        X: matrix of shape (n, n), of which only the symmetric part is used.
         eta: gamma^-2.
 
     Raises:
@@ -403,7 +420,7 @@ def prove_bound(plant: Plant, G: Array | Feedback, X: Array, eta: float) -> LmiP
 
 
 def eta_of(bound: float) -> float:
-    """Returns gamma^-2, rounded upwards: it proves gamma, or a bound just below."""
+    """Returns eta = gamma^-2 of a bound gamma, rounded up. A proof for this eta proves gamma, or a bound just below gamma."""
     eta = bound**-2
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         eta = float(np.nextafter(eta, np.inf))
@@ -411,7 +428,7 @@ def eta_of(bound: float) -> float:
 
 
 def bound_of(eta: float) -> float:
-    """Returns gamma = eta^-1/2, rounded upwards."""
+    """Returns gamma = eta^-1/2, rounded up."""
     bound = float(eta**-0.5)
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         bound = float(np.nextafter(bound, np.inf))
@@ -419,7 +436,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: Plant, at: float) -> float:
-    """Returns the gain that rounding alone can give a zero transfer function, at 0 and at a frequency [rad/s]."""
+    """Returns the gain that rounding errors alone can produce for a zero transfer function, at 0 and at `at` [rad/s]."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)
@@ -429,7 +446,10 @@ def _norm_rounding(loop: Plant, at: float) -> float:
 
 
 class LaterBound:
-    """A `LowerBound` that is proved when one of its attributes is first read; for workers, it is proved before it is sent."""
+    """A `LowerBound` that is proved only when one of its attributes is first read.
+
+    If it is sent to a worker process, the proof is computed before sending.
+    """
 
     def __init__(self, prove: Callable[[], Any]) -> None:
         self._prove = prove
@@ -439,7 +459,7 @@ class LaterBound:
         return self._prove()
 
     def __getattr__(self, name: str) -> Any:
-        """Returns an attribute of the bound."""
+        """Returns an attribute of the proved bound."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._proved, name)
@@ -449,5 +469,5 @@ class LaterBound:
 
 
 def return_bound(bound: Any) -> Any:
-    """Returns a bound itself."""
+    """Returns its argument; pickle needs a function for `LaterBound`."""
     return bound

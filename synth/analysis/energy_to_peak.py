@@ -1,12 +1,14 @@
-"""The peak of a signal of a loop for a disturbance of given energy: the energy-to-peak, or generalized H2, norm.
+"""Largest peak of a signal for a disturbance of given energy: the energy-to-peak norm (generalized H2 norm).
 
-The energy of w is the integral of |w|^2. For s = c x of a stable loop x' = A x + Bw w, x(0) = 0, a w of energy 1 keeps |s| within
-(c P c')^1/2, where A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes arbitrarily close to that (Wilson 1989;
-Rotea 1993). For the energy E the bound is E^1/2 times as large. The length of a vector C x of signals stays within the root of
-the largest eigenvalue of C P C'. No bound exists if w feeds through to a signal. A signal may contain control forces.
+The energy of w is the integral of |w|^2. Consider a signal s = c x of a stable loop x' = A x + Bw w with x(0) = 0. If w has the
+energy 1, |s| is at most (c P c')^1/2, where P solves A P + P A' + Bw Bw' = 0. The time-reversed impulse response of s comes
+arbitrarily close to this bound (Wilson 1989; Rotea 1993). For the energy E, the bound is larger by the factor E^1/2. The length
+of a vector C x of signals is at most the square root of the largest eigenvalue of C P C'. No bound exists if w has a direct
+feedthrough to a signal. A signal may contain control forces.
 
-**The proof** is an X > 0 with A X + X A' + Bw Bw' < 0, just above P: no peak exceeds (c X c')^1/2. The inequality is LMI (20)
-without z, proved in the same way (`certificate.prove_bound`); c X c' is computed in integers.
+**The proof** is a matrix X > 0 with A X + X A' + Bw Bw' < 0, slightly larger than P: no peak exceeds (c X c')^1/2. The
+inequality is LMI (20) without z, and `certificate.prove_bound` proves it like (20). The value of c X c' is computed in
+integers.
 """
 
 from dataclasses import dataclass, replace
@@ -23,19 +25,19 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Feedback, Plant, check_continuous, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
-ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)  # added to X, as a share of the disturbance's power, so that the inequality is strict
-HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distance of `bound_together` from the computed peak
+ABOVE = (1e-12, 1e-9, 1e-6, 1e-3)  # noise added on all states, relative to the disturbance's power: makes the inequality strict
+HIGHER = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of `bound_together` from the computed peak, tried in this order
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyPeaks:
-    """Largest peaks of signals for a disturbance of energy 1.
+    """Largest peaks of several signals for a disturbance of energy 1.
 
     Attributes:
-        peaks: peak of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
-        together: peak of the length of the vector of all signals.
-        bounds: upper bounds on `peaks`, proved, shape (p,).
-        bound_together: upper bound on `together`, proved.
+        peaks: largest peak of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
+        together: largest length of the vector of all p signals.
+        bounds: proved upper bounds on `peaks`, shape (p,).
+        bound_together: proved upper bound on `together`.
         proof: proof of the Lyapunov inequality.
     """
 
@@ -48,17 +50,17 @@ class EnergyPeaks:
 
 @numerics()
 def energy_peaks(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array) -> EnergyPeaks:
-    """Returns the energy-to-peak norms of s = (C_s + D_s G) x in the loop A + B G, with a proof.
+    """Returns the energy-to-peak norms of the signals s = (C_s + D_s G) x in the loop A + B G, and proves bounds on them.
 
     Args:
         plant: plant in continuous time with n states and m inputs.
-        G: the gain, shape (m, n), or one from measurements.
-        Cs: shape (p, n).
-        Ds: feedthrough from the inputs to the signals, shape (p, m).
+        G: state gain, shape (m, n), or a gain from measurements.
+        Cs: matrix from the states to the p signals, shape (p, n).
+        Ds: feedthrough from the inputs to the p signals, shape (p, m).
 
     Raises:
-        InputError: the plant is discrete, or C_s or D_s does not fit it.
-        DesignError: the loop is not stable, or rounding leaves no proof.
+        InputError: the plant is discrete, or the shape of C_s or D_s does not fit the plant.
+        DesignError: the loop is not stable, or rounding prevents a proof.
     """
     check_continuous(plant)
     Cs, Ds = signals(plant, Cs, Ds)
@@ -85,7 +87,7 @@ def energy_peaks(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array) -> Ene
 
 
 def signals(plant: Plant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
-    """Returns C_s and D_s after checking their shapes (p, n) and (p, m).
+    """Returns C_s and D_s as arrays, and checks their shapes (p, n) and (p, m).
 
     Raises:
         InputError: the signals do not fit the plant.
@@ -105,7 +107,11 @@ def _gramian(A: Array, noise: Array) -> Array:
 
 
 def _bounds(plant: Plant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -> tuple[Array, float]:
-    """Returns each (c X c')^1/2, rounded upwards, and a proved bound on the root of the largest eigenvalue of C X C'."""
+    """Returns bounds on the peaks.
+
+    Returns:
+        (c X c')^1/2 of each signal, rounded up, and a proved bound on the square root of the largest eigenvalue of C X C'.
+    """
     K, Cy = (G.K, G.Cy) if isinstance(G, Feedback) else (G, np.eye(len(plant.A)))
     (states, unit), (through, over), (gain, per), (rows, under), (unknown, one) = (integers(each) for each in (Cs, Ds, K, Cy, X))
     c = states * (over * per * under) + product(through, product(gain, rows)) * unit

@@ -1,28 +1,31 @@
-"""Lower bounds from zeros in the closed right half plane, at which no controller changes certain directions from w to z.
+"""Lower bounds on the norm from zeros in the closed right half plane, where no controller changes some directions from w to z.
 
-Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. In every stable loop x and u are finite at s,
-so p' z = (q' Bw + p' Dw) w there, whatever the controller. By transposition, at a zero t from w to y = C_y x + Dyw w some w = v
-gives one z = x, whatever the controller of y and its order. So the transfer function T from w to z satisfies the interpolation
-conditions
+Assume that M - s E = [A - s, B; C, D] loses rank at a point s with Re s > 0, and that [q; p]' (M - s E) = 0. In every stable
+loop, x and u are finite at s. Therefore p' z = (q' Bw + p' Dw) w at s for every controller. Transposition gives a second
+condition. At a zero t from w to y = C_y x + Dyw w, some w = v leads to the same z = x for every controller of y, whatever its
+order. The transfer function T from w to z thus satisfies the interpolation conditions
 
     p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
-A stable T that does so with a norm of at most gamma exists only if Pick's matrix is positive semidefinite (Ball, Gohberg,
-Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983):
+A stable T with a norm of at most gamma can satisfy these conditions only if Pick's matrix is positive semidefinite:
 
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
 
-If inputs control some states without cost in z, M - s E is singular at every s. So the pairs are [q; p] = N k, k' (Q - s U) = 0,
-with the pencil of a `SynthesisInequality`, which is regular and has all of them.
+Sources: Ball, Gohberg, Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983.
 
-On the imaginary axis each such condition alone bounds the norm, by |x_k| / |v_k|. For the plant these are the invariant points
-(see `invariant_point.py`); for the transposed plant, the disturbances that do not reach y at some frequency, or at infinity.
+If inputs control some states without cost in z, M - s E is singular at every s. The pairs are therefore computed as [q; p] = N
+k with k' (Q - s U) = 0. Here Q - s U is the pencil of a `SynthesisInequality`. This pencil is regular, and it yields all pairs.
 
-A zero in the open half plane is not a float, so it is enclosed. Let (k, s) be near a solution and R near the inverse of the
-derivative there, and let the residual include its rounding. A solution lies within a radius r if |R residual| + |I - R
-derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has several k, additional rows select the one with the
-largest bound. A gamma is excluded if one vector v makes v* P v < 0 for every Pick matrix P within the enclosures.
+On the imaginary axis, a single interpolation condition already bounds the norm, by |x_k| / |v_k|. The conditions of the plant
+on this axis are its invariant points (see `invariant_point.py`). The conditions of the transposed plant are the disturbances
+that do not reach y at some frequency, or at infinity.
+
+A zero in the open half plane is usually not a floating-point number, so it is enclosed in a disk. Let (k, s) be near a
+solution, let R be near the inverse of the derivative at (k, s), and let the residual include its rounding error. A solution
+lies within the radius r if |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has
+several vectors k, additional rows select the vector with the largest bound. A value of gamma is excluded if a vector v exists
+for which v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -38,25 +41,26 @@ from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
-STEPS = 3  # of Newton's method from the given approximation of a zero
-SAFE = 4.0  # times the rounding error of a real sum of products: covers complex products and norms of matrices
-SHORT = (1e-9, 1e-6, 1e-3)  # relative distance below the best bound in floats, to leave room for the enclosure
-TINY = 1e-60  # smallest gamma; the largest is 1 / TINY
+STEPS = 3  # Newton steps from the given approximation of a zero
+SAFE = 4.0  # multiple of the rounding error of a real sum of products; covers complex products and norms of matrices
+# Relative distances of the proved bound below the best bound in floats, to leave room for enclosures
+SHORT = (1e-9, 1e-6, 1e-3)
+TINY = 1e-60  # smallest gamma of the search; the largest is 1 / TINY
 SEED = 20261122
-NEARLY = 1e-6  # relative; a singular value this small may vanish at the exact zero
-APART = 1e-6  # relative; of two zeros closer than this only the first counts
+NEARLY = 1e-6  # relative size below which a singular value may be zero at the exact zero
+APART = 1e-6  # relative distance of two zeros below which only the first is used
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # [rad/s], from u to z and from w to y
 
 
 class Node(NamedTuple):
-    """The enclosed interpolation condition p' T(s) = y' at a zero of the plant or the transposed one.
+    """Interpolation condition p' T(s) = y' at a zero of the plant or of the transposed plant, with enclosures of s, p and y.
 
     Attributes:
-        zero: s [rad/s].
-        p: direction of length one, shape (d,).
-        y: shape (r,).
-        radii: radii of the enclosures of s, p and y.
+        zero: approximate zero s [rad/s].
+        p: approximate direction of length 1, shape (d,).
+        y: approximate vector y, shape (r,).
+        radii: radii of the disks around s, p and y that contain the exact values.
     """
 
     zero: complex
@@ -69,11 +73,15 @@ class Node(NamedTuple):
 def zero_limit(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> tuple[float, Zeros]:
-    """Returns the largest bound that right-half-plane zeros prove, 0 if they prove nothing, and approximations of the zeros used.
+    """Returns the largest lower bound that zeros in the right half plane prove, and approximations of the zeros used.
+
+    The bound is 0 if the zeros prove nothing.
 
     Args:
-        plant: without measurements, as if all states are measured, only the zeros from u to z count.
-        inequalities: inequalities of the plant and the transposed plant, if known; None for the latter if it does not count.
+        plant: plant of the bound. If the plant has no measurements, all states count as measured, and only zeros from u to z
+            are used.
+        inequalities: inequalities of the plant and of the transposed plant, if they are known. The second is None if the
+            transposed plant is not used.
     """
     one, other = _sides(plant, inequalities)
     left, right = (_enclosed_nodes(side, side.zeros()) for side in (one, other))
@@ -82,13 +90,13 @@ def zero_limit(
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    near = best[1]  # the proof must be reproducible from these approximations alone
+    near = best[1]  # compute the bound again from these approximations alone: a later check of the proof starts from them
     return _limit(_enclosed_nodes(one, near[0]), _enclosed_nodes(other, near[1])), near
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
 def limit_at_zeros(plant: Plant, near: Zeros) -> float:
-    """Returns a proved lower bound on the norm from the zeros near some points; 0 if none is enclosed."""
+    """Returns the lower bound on the norm that the zeros near the given points prove; 0 if no zero can be enclosed."""
     left, right = (_enclosed_nodes(side, points) for side, points in zip(_sides(plant), near, strict=True))
     others = [0.0]
     if len(plant.Cy) and plant.dt is None:
@@ -99,7 +107,7 @@ def limit_at_zeros(plant: Plant, near: Zeros) -> float:
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """Returns the bound that nodes prove, without nodes that are too close to an earlier one."""
+    """Returns the bound that interpolation conditions prove together. Conditions too close to an earlier one are ignored."""
     nodes: list[list[Node]] = [[], []]
     for kind, given in zip(nodes, (left, right), strict=True):
         for one in given:
@@ -115,7 +123,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 def _sides(
     plant: Plant, inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None
 ) -> "tuple[_Pencil, _Pencil]":
-    """Returns the equations of the plant and of the transposed plant; the latter are empty without measurements."""
+    """Returns the equations of the plant and of the transposed plant; the latter are empty if nothing is measured."""
     if inequalities is None:
         inequalities = SynthesisInequality.of(plant), SynthesisInequality.of(plant.transposed) if len(plant.Cy) else None
     one, other = inequalities
@@ -123,10 +131,10 @@ def _sides(
 
 
 class _Pencil(NamedTuple):
-    """The equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled to entries of size one.
+    """Equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled so that the entries are near 1.
 
     Attributes:
-        U, Q, b, c: every entry rounded once.
+        U, Q, b, c: matrices of the equations, with every entry rounded once.
         rate: unit of s [rad/s].
         unit: unit of y.
     """
@@ -140,12 +148,12 @@ class _Pencil(NamedTuple):
 
     @classmethod
     def of(cls, plant: Plant, side: SynthesisInequality) -> "_Pencil":
-        """Returns the equations in units that are powers of two: scaling rounds nothing."""
+        """Returns the equations in units that are powers of two, so that scaling causes no rounding error."""
         units = own_units(plant)
         rate, states = scale_near(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]
         try:
             U, Q, b, c = side.floats()
-        except OverflowError:  # numbers that are too far apart
+        except OverflowError:  # the entries differ by too many orders of magnitude
             return _EMPTY
         U, Q = U * states, Q * states / rate
         rows = np.array([scale_near(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
@@ -154,7 +162,10 @@ class _Pencil(NamedTuple):
         return cls(U, Q, b / y, c / p, rate, y / p)
 
     def zeros(self) -> list[complex]:
-        """Returns approximate points of the right half plane where Q - s U loses rank; other points too if it is not square."""
+        """Returns approximations of the points in the right half plane at which Q - s U loses rank.
+
+        If U and Q are not square, the result may contain other points, too.
+        """
         k, a = self.U.shape
         if not 0 < a <= k:
             return []
@@ -163,12 +174,12 @@ class _Pencil(NamedTuple):
         return [zero * self.rate for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
 
     def loses_rank(self, s: complex) -> bool:
-        """Returns True if Q - s U may be rank deficient at s."""
+        """Returns True if Q - s U may lose rank at s."""
         sizes = np.linalg.svd(self.Q - s * self.U, compute_uv=False)
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k near k' (Q - s U) = 0 with the largest |y| / |p|, and rows that select it."""
+        """Returns the unit vector k with k' (Q - s U) near 0 and the largest |y| / |p|, and rows of equations that select k."""
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
@@ -183,7 +194,7 @@ _EMPTY = _Pencil(*[np.zeros((0, 0))] * 4, rate=1.0, unit=1.0)
 
 
 def _enclosed_nodes(side: _Pencil, points: Sequence[complex]) -> list[Node]:
-    """Returns the nodes of the zeros near some points that can be enclosed in the right half plane."""
+    """Returns the interpolation conditions at zeros near the given points, if they can be enclosed in the right half plane."""
     return [enclosure for point in points if (enclosure := _enclosed_near(side, complex(point) / side.rate)) is not None]
 
 
@@ -206,7 +217,7 @@ def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
     rounding = unit * np.concatenate(terms)
     size, curvature = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative, too, is rounded: in its entries, and by cancellation in Q - s U and U' v.
+    # The derivative is rounded, too: its entries are rounded, and digits cancel in Q - s U and U' v.
     slopes = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * curvature
     contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * slopes
     radius = radius_of_solution(first, contraction, size * curvature)
@@ -221,14 +232,14 @@ def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
 
 
 def _newton(side: _Pencil, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
-    """Returns the inverse derivative, the residual and the derivative of (Q - s U)' v = 0, rows v = target."""
+    """Returns the inverse derivative, the residual and the derivative of the equations (Q - s U)' v = 0, rows v = target."""
     shifted = (side.Q - s * side.U).T
     derivative = np.block([[shifted, -(side.U.T @ v)[:, None]], [rows, np.zeros((len(rows), 1))]])
     return np.linalg.inv(derivative), np.concatenate([shifted @ v, rows @ v - target]), derivative
 
 
 class _Pick:
-    """Pick's matrix gamma G + O - K / gamma, with error bounds on the entries of each part."""
+    """Pick's matrix gamma G + O - K / gamma, and bounds on the errors of the entries of G, O and K."""
 
     def __init__(self, left: Sequence[Node], right: Sequence[Node]) -> None:
         k, nodes = len(left), [*left, *right]
@@ -256,11 +267,11 @@ class _Pick:
                     self.errors[1, i, j] = self.errors[1, j, i] = error
 
     def at(self, gamma: float) -> Array:
-        """Returns the matrix in floats."""
+        """Returns Pick's matrix for this gamma, computed in floats."""
         return gamma * self.parts[0] + self.parts[1] - self.parts[2] / gamma
 
     def least(self) -> float:
-        """Returns the smallest gamma for which the matrix is positive semidefinite, in floats."""
+        """Returns the smallest gamma for which Pick's matrix is positive semidefinite, computed in floats."""
         low, high = TINY, 1 / TINY
         while high > low * (1 + SHORT[0] / 10):
             middle = (low * high) ** 0.5
@@ -268,7 +279,7 @@ class _Pick:
         return low
 
     def excludes(self, gamma: float) -> bool:
-        """Returns True if no matrix within the error bounds is positive semidefinite."""
+        """Returns True if no matrix within the error bounds is positive semidefinite for this gamma."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)
@@ -279,13 +290,16 @@ class _Pick:
 
 
 def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
-    """Returns the product of two vectors with errors da and db, and a bound on its error with rounding."""
+    """Returns the product of the vectors a and b with errors up to da and db, and a bound on the error of the product."""
     size_a, size_b = float(np.linalg.norm(a)), float(np.linalg.norm(b))
     return complex(a @ b), da * size_b + db * size_a + da * db + SAFE * (len(a) + 4) * np.finfo(float).eps * size_a * size_b
 
 
 def _quotient(dividend: tuple[complex, float], divisor: complex, one: Node, other: Node) -> tuple[complex, float]:
-    """Returns a quotient by a sum or difference of two zeros, and a bound on its error; infinite if the divisor may be zero."""
+    """Returns a quotient and a bound on its error. The divisor is a sum or difference of two zeros.
+
+    The error is infinite if the divisor may be zero.
+    """
     error = one.radii[0] + other.radii[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
     entry = dividend[0] / divisor
     return entry, (dividend[1] + abs(entry) * error) / (abs(divisor) - error) if abs(divisor) > error else np.inf

@@ -1,17 +1,17 @@
-"""Lower bounds from invariant points: frequencies at which some direction of z depends on w alone, whatever the control.
+"""Lower bounds on the norm from invariant points: frequencies at which some direction of z is independent of the control.
 
-With z = Gw w + Gu u at a frequency, no controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm of
-that part is a lower bound. For a suspension it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
+At one frequency, let z = Gw w + Gu u. No controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm
+of this part is a lower bound. For a suspension, it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
-Floats only propose the frequency and the direction. The proof is a pair (q, p) with
+The frequency and the direction are first estimated in floats. The proof is a pair (q, p) with
 
-    [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x,
+    [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x.
 
-and it is exact: some entries of q and p are floats, and the others follow from them in integers. So no tolerance decides if a
-pair exists, as at a resonance or near a zero of Gu.
+The proof is exact: some entries of q and p are floats, and the other entries are computed from these floats in integers. No
+tolerance therefore decides whether a pair exists, even at a resonance or near a zero of Gu.
 
-At a pole on the axis that is unobservable in z, such as an integrator, there are more pairs than at frequencies nearby. There a
-stabilising controller must cancel the effect of w on that mode, too.
+At a pole on the imaginary axis that is unobservable in z, such as an integrator, more pairs exist than at nearby frequencies. A
+stabilising controller must also cancel the effect of w on this mode.
 """
 
 import contextlib
@@ -27,18 +27,21 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import Plant, check_continuous
 from synth.plant.units import own_units
 
-PEAKS = 6  # local maxima that are refined
-NEGLIGIBLE = 1e-10  # relative; smaller singular values of Gu count as zero in a proposal
-AWAY = 1e-9  # relative distance of a proposal from a pole on the axis
-FURTHER = 10.0  # factor on AWAY if the matrix is still singular there, as around a multiple pole
-ENOUGH = 1e-9  # relative; a proposal is tried if it promises to raise the best proved bound by more
+PEAKS = 6  # number of local maxima that are refined
+NEGLIGIBLE = 1e-10  # relative size below which singular values of Gu count as zero in the estimate in floats
+AWAY = 1e-9  # relative distance of an estimated frequency from a pole on the axis
+FURTHER = 10.0  # factor on AWAY if the matrix is singular at this distance, too, as near a multiple pole
+ENOUGH = 1e-9  # relative increase of the best proved bound below which an estimate is not tried
 UNCHANGED_NORM = (
-    1e-3  # relative; a norm without control this close to the limit is the limit: far beyond rounding, below any goal
+    1e-3  # relative difference below which the norm without control counts as equal to the limit; far larger than rounding
 )
 
 
 def invariant_limit(plant: Plant) -> tuple[float, float] | None:
-    """Returns the largest norm that no control changes, and its frequency [rad/s]; None if control can change every direction."""
+    """Returns the largest norm that no controller can change, and its frequency [rad/s].
+
+    The result is None if the control affects every direction of z.
+    """
     check_continuous(plant)
     rates = _rates(plant)
     largest = float(rates.max())
@@ -48,7 +51,7 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
     tops = np.flatnonzero((norms[1:-1] >= norms[:-2]) & (norms[1:-1] >= norms[2:])) + 1
     tops = np.unique([*tops[np.argsort(norms[tops])[-PEAKS:]], norms.argmax()])
     middle, height, width = omega[tops], norms[tops], omega[1] / omega[0] - 1
-    for _ in range(9):  # refines the highest points, all at once
+    for _ in range(9):  # refines all of the highest points together
         near = middle * (1 + width * np.linspace(-1, 1, 11)[:, None])
         norms = largest_singular_values(_invariant_part(plant, near.ravel())).reshape(near.shape)
         highest = norms.argmax(axis=0)
@@ -63,16 +66,17 @@ def invariant_limit(plant: Plant) -> tuple[float, float] | None:
 
 
 def limit_at(plant: Plant, omega: float) -> float:
-    """Returns a proved norm of a plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
+    """Returns a proved norm at the frequency omega [rad/s] that no controller can change; 0 if none is proved."""
     return proof_at(plant, omega)[0]
 
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
 def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
-    """Returns the norm of `limit_at` and the pair that proves it.
+    """Returns the norm of `limit_at` and the pair (q, p) that proves it.
 
     Returns:
-        The norm, and the real parts of q and p above their imaginary parts, integers of shape (2 (n + d),); see `_equations`.
+        The norm, and a vector of integers of shape (2 (n + d),): the real parts of q and p, then their imaginary parts (see
+        `_equations`).
     """
     n, d = len(plant.A), len(plant.C)
     real, imaginary, from_w, unit = _equations(plant, omega)
@@ -102,19 +106,19 @@ def proof_at(plant: Plant, omega: float) -> tuple[float, Array]:
 
 
 def without_control(plant: Plant, omega: float) -> float:
-    """Returns the norm of z's response without control at a frequency [rad/s] that is not a pole."""
+    """Returns the largest gain from w to z without control at the frequency omega [rad/s], which must not be a pole."""
     return float(largest_singular_values(plant.frequency_response(np.array([omega])))[0])
 
 
 def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
-    """Returns M = [A - j omega, B; C, D] and what [q; p]* turns into the effect of w, in integers; see `limit_at`.
+    """Returns, in integers, M = [A - j omega, B; C, D] and the matrix that maps [q; p]* to the effect of w.
 
-    Real and imaginary part of [q; p] lie below each other. For a discrete plant z = (1 + j t) / (1 - j t), with a float t =
-    tan(omega dt / 2), is on the unit circle exactly, and 1 - j t multiplies the rows of the states.
+    The real part of [q; p] is above its imaginary part. For a discrete plant, the point z = (1 + j t) / (1 - j t) is used, with
+    a float t = tan(omega dt / 2). This point is exactly on the unit circle. The rows of the states are multiplied by 1 - j t.
 
     Returns:
-        The real and the imaginary part of M, up to one factor, shapes (n + d, n + m). The effects of w on the real and the
-        imaginary part of p* z, shape (2 (n + d), 2 r), and their denominator.
+        The real part and the imaginary part of M, up to a common factor, shapes (n + d, n + m). The effects of w on the real
+        part and on the imaginary part of p* z, shape (2 (n + d), 2 r), and the denominator of these effects.
     """
     n, m = plant.B.shape
     system, unit = integers(plant.system_matrix)
@@ -137,15 +141,16 @@ def _equations(plant: Plant, omega: float) -> tuple[Array, Array, Array, int]:
 
 
 def limit_at_infinity(plant: Plant) -> float:
-    """Returns a proved norm of Dw that no proper controller of y = C_y x + Dyw w changes as omega grows; 0 if none is proved.
+    """Returns a proved lower bound on the norm at infinite frequency for all proper controllers of y = C_y x + Dyw w.
 
-    It is that on the disturbances that y does not feel at once, or that of the outputs that no control force moves at once.
+    The bound is a norm of Dw: either for disturbances that have no feedthrough to y, or for outputs to which the control forces
+    have no feedthrough. The bound is 0 if nothing is proved.
     """
     return max(_limit_beside(plant.Dyw.T, plant.Dw), _limit_beside(plant.D, plant.Dw.T))
 
 
 def _limit_beside(K: Array, direct: Array) -> float:
-    """Returns a proved norm of a matrix on the v with K' v = 0; 0 if there are none."""
+    """Returns a proved norm of the matrix `direct` on the vectors v with K' v = 0; 0 if there is no such v."""
     silent = Nullspace(integers(K)[0])
     if not silent.free or not direct.any():
         return 0.0
@@ -160,12 +165,12 @@ def _limit_beside(K: Array, direct: Array) -> float:
 
 
 def is_pole(plant: Plant, omega: float) -> bool:
-    """Returns True if j omega is a pole to the last digit, as 0 is for an integrator."""
+    """Returns True if j omega is numerically equal to a pole, for example 0 for an integrator."""
     return bool(np.linalg.matrix_rank(_states(replace(plant, A=balance(plant.A)[0]), omega)) < len(plant.A))
 
 
 def _states(plant: Plant, omega: float) -> Array:
-    """Returns A - j omega, or its like for a discrete plant, as in `_equations`."""
+    """Returns A - j omega, or for a discrete plant the matrix that `_equations` uses instead."""
     eye = np.eye(len(plant.A))
     if plant.dt is None:
         return plant.A - 1j * omega * eye
@@ -173,18 +178,18 @@ def _states(plant: Plant, omega: float) -> Array:
 
 
 def _poles_on_axis(plant: Plant) -> list[float]:
-    """Returns the frequencies [rad/s] of the poles that lie on the axis to the last digit."""
+    """Returns the frequencies [rad/s] of the poles that are numerically on the imaginary axis."""
     open_loop = stability(plant.A)
     near = np.unique(np.append(np.abs(np.imag(open_loop.poles[open_loop.on_axis])), 0.0))
     return [omega for omega in near.tolist() if is_pole(plant, omega)]
 
 
 def _strongest(outputs: Array, effects: Array) -> Array:
-    """Returns the combination x with the largest |x' effects| / |x' outputs|, without directions in which x' outputs vanishes.
+    """Returns the vector x with the largest |x' effects| / |x' outputs|, without directions in which x' outputs is zero.
 
     Args:
-        outputs: shape (k, d).
-        effects: shape (k, r).
+        outputs: matrix of shape (k, d).
+        effects: matrix of shape (k, r).
     """
     directions, sizes, _ = np.linalg.svd(outputs, full_matrices=False)
     mask = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
@@ -193,9 +198,9 @@ def _strongest(outputs: Array, effects: Array) -> Array:
 
 
 def _rates(plant: Plant) -> Array:
-    """Returns the positive magnitudes of the plant's poles [rad/s], or the rate of its `own_units` if all poles lie at 0.
+    """Returns the positive magnitudes of the plant's poles [rad/s]. If all poles are at 0, returns the rate of its `own_units`.
 
-    Rounding moves an n-fold pole at 0 by up to the n-th root of the rounding.
+    Rounding moves an n-fold pole at 0 by up to the n-th root of the rounding error.
     """
     A, _ = balance(plant.A)
     poles = np.abs(np.linalg.eigvals(A))
@@ -206,11 +211,11 @@ def _rates(plant: Plant) -> Array:
 
 
 def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
-    """Returns the part of Gw that is orthogonal to Gu at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
+    """Returns the part of Gw that is orthogonal to Gu at F frequencies `omega` [rad/s], complex, shape (F, d, r)."""
     try:
         both = plant.unchecked(Bw=np.hstack([plant.Bw, plant.B]), Dw=np.hstack([plant.Dw, plant.D]))
         from_w, from_u = np.split(both.frequency_response(omega), [plant.Bw.shape[1]], axis=2)
-    except np.linalg.LinAlgError:  # a pole, to the last digit
+    except np.linalg.LinAlgError:  # the frequency is numerically equal to a pole
         return _invariant_part(plant, _off_poles(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)
     directions, sizes, _ = np.linalg.svd(from_u / np.where(columns > 0, columns, 1.0), full_matrices=False)
@@ -219,7 +224,7 @@ def _invariant_part(plant: Plant, omega: Array, away: float = AWAY) -> Array:
 
 
 def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
-    """Returns floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
+    """Returns approximations of the best p and q at the frequency omega [rad/s], complex, shapes (d,) and (n,)."""
     where, there = plant, omega
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, mapped_frequency
@@ -233,5 +238,5 @@ def _guess(plant: Plant, omega: float, away: float = AWAY) -> tuple[Array, Array
 
 
 def _off_poles(plant: Plant, omega: Array, away: float) -> Array:
-    """Returns frequencies slightly above `omega`, to avoid exact poles."""
+    """Returns frequencies slightly above `omega` that are not exactly at a pole."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

@@ -1,28 +1,29 @@
-"""Lower bounds on the norm for any controller, proved by dual solutions in exact arithmetic.
+"""Lower bounds on the norm for all controllers, proved by dual solutions in exact arithmetic.
 
-A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only if there are X > 0 and S > 0 with [X I; I S]
->= 0. Here X solves the `SynthesisInequality` of the plant, eta = gamma^-2, and S that of the transposed plant (Gahinet, Apkarian
-1994) with a disturbance of weight one and gamma^2 instead of I:
+A controller of any order from y = C_y x + Dyw w can reach a norm below gamma only if X > 0 and S > 0 exist with [X I; I S] >=
+0. X
+solves the `SynthesisInequality` of the plant with eta = gamma^-2. S solves the inequality of the transposed plant (Gahinet,
+Apkarian 1994), with a disturbance of weight 1 and gamma^2 instead of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
-The dual variables are positive semidefinite W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), V2 likewise. Their products
-with the three inequalities add up to
+The dual variables are positive semidefinite matrices W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), and V2 likewise.
+The sum of their products with the three inequalities is
 
     (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
-W1 and W2 may be scaled independently, so gamma^2 is at least the largest eigenvalue of
+W1 and W2 may be scaled independently. Therefore, gamma^2 is at least the largest eigenvalue of
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-Its first entry is the bound for state feedback. No controller beats that bound, even if it is dynamic or nonlinear and measures w
-(Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution, so a point
-(X, eta) determines it.
+The first entry is the bound for state feedback. No controller has a smaller norm than this bound, even if the controller is
+dynamic or nonlinear and measures w (Khargonekar, Petersen, Rotea 1988). On the central path, W = (c c' - He(Q X U') - eta b
+b')^-1 is a dual solution. A point (X, eta) therefore determines a dual solution.
 
-**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by factors proposed in floats; any factors give a bound.
-Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a tolerance. Only the
-definiteness of V is decided in floats, from entries that were rounded once, with a proved bound on the rounding
-(`analysis/rigorous.py`). The last eigenvalue is rounded down.
+**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by their factors, which are computed in floats. Any
+factors give a valid bound. Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a
+tolerance. Only the definiteness of V is checked in floats. This check uses entries that were rounded once, and a proved bound
+on the rounding errors (`analysis/rigorous.py`). The largest eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -40,17 +41,17 @@ if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
 
 
-SHRINK = (1e-9, 1e-6, 1e-3)  # relative shortening of the best V12, so that V can be proved positive
-SAFE = 4.0  # times what a sum of products may lose to rounding
-DOWN = 1 - 2.0**-45  # rounds down by more than the dozen operations of the last eigenvalue can round up
+SHRINK = (1e-9, 1e-6, 1e-3)  # relative reductions of the best V12, tried in this order until V is proved positive definite
+SAFE = 4.0  # multiple of the rounding error of a sum of products
+DOWN = 1 - 2.0**-45  # factor that rounds down by more than the dozen operations for the largest eigenvalue can round up
 
 
 @dataclass(frozen=True, eq=False)
 class DualCertificate:
-    """A strictly feasible point of a `SynthesisInequality`; its inverse matrix is the dual solution.
+    """Strictly feasible point (X, eta) of a `SynthesisInequality`. The inverse of its matrix is the dual solution.
 
     Attributes:
-        X: shape (n, n); only J X J' matters.
+        X: matrix of shape (n, n), of which only J X J' is used.
         eta: gamma^-2.
     """
 
@@ -60,15 +61,16 @@ class DualCertificate:
 
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """A lower bound on the norm for controllers of one kind, with its proof.
+    """Lower bound on the norm for all controllers of one type, with its proof.
 
     Attributes:
-        gamma: the bound; 0 if nothing is proved.
+        gamma: lower bound; 0 if nothing is proved.
         state: dual certificate of state feedback; None if an invariant point or zeros prove the bound.
         observer: dual certificate of the transposed plant; None if the bound is that of state feedback.
-        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; else None.
-        zeros: zeros from u to z and from w to y [rad/s] by which `interpolation.limit_at_zeros` proves the bound; else None.
-        reason: reason why the bound may be far below what controllers reach, in words; empty if none is known.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if the proof is another one.
+        zeros: zeros from u to z and from w to y [rad/s] with which `interpolation.limit_at_zeros` proves the bound; None if the
+            proof is another one.
+        reason: text that explains why the bound may be far below the norms of controllers; empty if no reason is known.
     """
 
     public_name = "a lower bound, such as synth.find_lower_bound returns"
@@ -81,17 +83,21 @@ class LowerBound:
     reason: str = ""
 
 
-BEYOND = 1e-8  # relative; what rounding may change of a level's plant
+BEYOND = 1e-8  # relative change that rounding may cause in the plant of a level
 
 
 @dataclass(frozen=True, eq=False)
 class SampledBound:
-    """A lower bound on the L2 gain of a sampled loop, for controllers of any order: a level whose plant proves it.
+    """Lower bound on the L2 gain of a sampled-data loop, for controllers of any order.
+
+    Each level of the gain has a discrete plant (`synth/analysis/sampled_loop.py`). The level is a lower bound if no controller
+    brings the norm of this plant below 1.
 
     Attributes:
-        level: the bound.
-        proof: proof that no controller brings the norm of the level's discrete plant below 1 (`synth/analysis/sampled_loop.py`).
-        inside: True if the level has no such plant: within a period, before any force answers, the gain is the level or more.
+        level: lower bound on the L2 gain.
+        proof: lower bound on the norm of the discrete plant of this level.
+        inside: True if no such plant exists for the level. Then the gain within one period, before any force responds, is at
+            least `level`.
     """
 
     level: float
@@ -100,16 +106,17 @@ class SampledBound:
 
     @property
     def holds(self) -> bool:
-        """True if the proof is one, beyond the rounding of the level's plant."""
+        """True if the proof is valid despite the rounding of the plant of the level."""
         return self.inside or self.proof.gamma >= 1 + BEYOND
 
 
 def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertificate | None = None) -> LowerBound:
-    """Returns the bound that dual certificates prove. Earlier on the central path it is weaker, by (2 n + d) mu, but easier to
-    prove.
+    """Returns the lower bound that dual certificates prove.
+
+    A point earlier on the central path gives a bound that is weaker, by (2 n + d) mu, but easier to prove.
 
     Raises:
-        ValueError: a dual certificate is not of the plant's shape.
+        ValueError: the shape of a dual certificate does not fit the plant.
     """
     one = SynthesisInequality.of(plant)
     other = SynthesisInequality.of(plant.transposed) if observer is not None else None
@@ -119,7 +126,7 @@ def prove_lower_bound(plant: Plant, state: DualCertificate, observer: DualCertif
 def prove_from_inequalities(
     one: SynthesisInequality, other: SynthesisInequality | None, state: DualCertificate, observer: DualCertificate | None
 ) -> LowerBound:
-    """Returns the bound of `prove_lower_bound` from given inequalities."""
+    """Returns the same bound as `prove_lower_bound`, from the inequalities of the plant and of the transposed plant."""
     first = _dual(one, state)
     if first is None:
         return LowerBound(0.0, state, observer)
@@ -139,14 +146,14 @@ def prove_from_inequalities(
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """The numbers e, t and V = T^-T V_T T^-1 of a dual solution.
+    """Numbers e, t and V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: numbers of the solution, exact; for an antistable part bounds, e from below and t from above.
+        e, t: exact numbers of the solution. For an antistable part, e is a lower bound and t is an upper bound.
         V: V_T in floats; near I on the central path.
-        error_bound: bound on the error of each entry of V.
-        T: floats that count as exact, shape (a, a).
-        Y: floats near T^-T that count as exact.
+        error_bound: bound on the error of each entry of V_T, same shape as V_T.
+        T: matrix of floats that counts as exact, shape (a, a).
+        Y: matrix of floats near T^-T that counts as exact, shape (a, a).
     """
 
     e: Fraction
@@ -159,10 +166,10 @@ class _Dual:
 
 @np.errstate(all="ignore")  # infinities and NaN prove nothing
 def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tuple[Array, Array, Array] | None:
-    """Returns L of the dual solution W = L L' of a certificate, T and Y of `_Dual`; None if they are not finite.
+    """Returns L, T and Y of the dual solution W = L L' of a certificate (see `_Dual`); None if they are not finite.
 
     Raises:
-        ValueError: the certificate does not have the plant's shape.
+        ValueError: the shape of the certificate does not fit the plant.
     """
     a, n = side.J.shape
     if certificate.X.shape != (n, n):
@@ -182,7 +189,7 @@ def dual_factors(side: SynthesisInequality, certificate: DualCertificate) -> tup
 
 @np.errstate(all="ignore")
 def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
-    """Returns the dual solution of a certificate, or None if it proves nothing."""
+    """Returns the dual solution of a certificate; None if it proves nothing."""
     factors, part = dual_factors(side, certificate), side.antistable
     if factors is None:
         return None
@@ -193,7 +200,7 @@ def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | No
 
 
 def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> Array:
-    """Returns L with L L' = (c c' - He(Q X U') - eta b b')^-1, X = T T'."""
+    """Returns L with L L' = (c c' - He(Q X U') - eta b b')^-1, where X = T T'."""
     U, Q, b, c = parts
     half = (Q @ T) @ (U @ T).T
     slack = c @ c.T - half - half.T - eta * b @ b.T
@@ -205,7 +212,7 @@ def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> A
 
 
 def _evaluate_dual(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual | None:
-    """Returns the exact e, t and V_T of W = L L', or None if V is not proved positive definite or t is zero."""
+    """Returns the exact e, t and V_T of W = L L'; None if V is not proved positive definite, or if t is 0."""
     (factor, over), (coordinates, under) = integers(L), integers(T)
     low, steep = product(factor.T, product(side.U, coordinates)), product(factor.T, product(side.Q, coordinates))
     half = product(low.T, steep)
@@ -217,7 +224,7 @@ def _evaluate_dual(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _
 
 
 def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | None:
-    """Returns bounds on e, t and V_T of W = L L' for all that is enclosed; None if V is not proved positive definite."""
+    """Returns bounds on e, t and V_T of W = L L' for all matrices in the enclosures; None if V > 0 is not proved."""
     _, off_q, off_b, off_c = part.off
     unit, low = SAFE * (len(L) + 4) * UNIT, np.abs(L).T
     left, right = L.T @ T, L.T @ part.Q @ T
@@ -238,11 +245,11 @@ def _enclose_factors(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dua
 
 @dataclass(frozen=True, eq=False)
 class CouplingMatrix:
-    """J2 J1' between two inequalities, or between their antistable parts.
+    """Product J2 J1' for two inequalities, or for their antistable parts.
 
     Attributes:
-        whole, over: integers and their denominator, shape (a2, a1); near it if `error_bound` is not zero.
-        error_bound: bound on the error of each entry.
+        whole, over: the product as integers and their denominator, shape (a2, a1); approximate if `error_bound` is not zero.
+        error_bound: bound on the error of each entry, shape (a2, a1).
     """
 
     whole: Array
@@ -251,12 +258,12 @@ class CouplingMatrix:
 
     @property
     def floats(self) -> Array:
-        """The matrix in floats, shape (a2, a1)."""
+        """Product in floats, shape (a2, a1)."""
         return floats(self.whole, Fraction(1, self.over))
 
     @classmethod
     def of(cls, one: SynthesisInequality, other: SynthesisInequality) -> "CouplingMatrix":
-        """Returns it for the plant's inequality and that of the transposed plant."""
+        """Returns the coupling matrix of the plant's inequality (`one`) and the transposed plant's inequality (`other`)."""
         exact, over = cross_gram(one, other)
         if one.antistable is None and other.antistable is None:
             return cls(exact, over, np.zeros(exact.shape))
@@ -274,7 +281,7 @@ class CouplingMatrix:
 
 
 def _best_coupling(first: _Dual, second: _Dual, between: CouplingMatrix) -> Fraction:
-    """Returns f of the best V12 that leaves V provably positive definite; 0 if no such V12 is found."""
+    """Returns f of the best V12 for which V is proved positive definite; 0 if no such V12 is found."""
     if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

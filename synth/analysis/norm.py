@@ -1,18 +1,19 @@
-"""The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency.
+"""H-infinity norm (18), computed by two methods that find its peak, and the largest singular value at a frequency.
 
-- `level_set_norm`: the imaginary eigenvalues of a Hamiltonian are the frequencies at which a singular value crosses a level
-  (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The route misses no peak, up to the rounding of eigenvalues.
-- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. The transfer function takes
-  each of its values, so it is never above the norm.
+- `level_set_norm`: the imaginary eigenvalues of a Hamiltonian matrix are the frequencies at which a singular value crosses a
+  level (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). This method misses no peak, except for rounding of
+  eigenvalues.
+- `sweep_norm`: a frequency sweep that is dense around every pole, and refined at every local maximum. Each of its values is a
+  gain of the transfer function, so the result never exceeds the norm.
 
-`hinf_norm` runs both and returns their distance. The routes find the peak on the imaginary axis (the L-infinity norm), or on an
-interval of it. That peak exists for unstable systems, too, and is infinite if a pole lies on the axis.
+`hinf_norm` uses both methods and returns their difference. The methods find the peak on the imaginary axis (the L-infinity
+norm), or on an interval of this axis. This peak also exists for unstable systems; it is infinite if a pole lies on the axis.
 
-Both routes share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies. The
-returned values are computed without them, from a linear system of equations.
+Both methods share the transfer function. A modal form of the system, which is cheap to evaluate, only proposes frequencies. The
+returned gains are computed without it, by solving a linear system of equations.
 
-The rounding of the values is bounded, to first order. The bound is large for a huge gain, whose loop A + B G has fast and slow
-poles. Then both routes refine their results with twice the digits, on the loop before it was rounded.
+The rounding error of the gains is bounded to first order. The bound is large for a very large gain, whose loop A + B G has both
+fast and slow poles. In this case, both methods refine their results with twice the digits, on the loop before it was rounded.
 """
 
 from collections.abc import Callable
@@ -29,28 +30,29 @@ from synth.analysis.stability import balance, stability, stability_of_balanced
 from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
-CLOSE_ZOOMS = 8  # with twice the digits: 1e-16 of the gain
-WITHIN = 1e-4  # step of a parabola through a peak, as a share of the damping of the nearest pole
-ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
-ALIKE = 1e-9  # relative to the largest gain; modes this close to the transfer function may propose frequencies
+ZOOMS = 6  # tenfold refinements of a frequency interval; the gain is then accurate to 1e-12, because it is flat at a maximum
+CLOSE_ZOOMS = 8  # tenfold refinements with twice the digits; the gain is then accurate to 1e-16
+WITHIN = 1e-4  # frequency step for fitting a parabola to a peak, relative to the damping of the nearest pole
+ILL_CONDITIONED = 1e6  # condition number of the eigenvectors above which the modal form has fewer than ten correct digits
+ALIKE = 1e-9  # largest error of the modal form, relative to the largest gain, for which it may propose frequencies
 
 
 def largest_singular_values(T: Array) -> Array:
-    """Returns the largest singular value of each matrix of a stack, shape (F,) for (F, d, r)."""
+    """Returns the largest singular value of each of F matrices, T of shape (F, d, r), as an array of shape (F,)."""
     if 1 in T.shape[1:]:
         return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # the singular value of a vector is its length
     square = _smaller_square(T)
-    if square.shape[1] == 2:  # a quadratic equation, without cancellation in its larger root
+    if square.shape[1] == 2:  # solves a quadratic equation; its larger root has no cancellation
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # squaring costs the largest singular value no digits
 
 
 def highest(T: Array, above: float) -> tuple[float, int]:
-    """Returns the largest singular value of a whole stack of matrices, shape (F, d, r), and the index of its matrix.
+    """Returns the largest singular value among F matrices, T of shape (F, d, r), and the index of its matrix.
 
-    Only values above `above` count: 0 and the index -1 if no value is. The cheap Frobenius norm excludes most matrices.
+    Values up to `above` are ignored. If no value is larger, returns 0 and the index -1. The Frobenius norm, which is cheap,
+    excludes most matrices.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -62,7 +64,7 @@ def highest(T: Array, above: float) -> tuple[float, int]:
 
 
 def _smaller_square(T: Array) -> Array:
-    """Returns T T' or T' T, the smaller one."""
+    """Returns T T' or T' T, whichever is smaller."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 
@@ -70,11 +72,12 @@ def _smaller_square(T: Array) -> Array:
 def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
 
-    The residual of the linear system is computed with twice the digits and solved for again, until the answer converges
-    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). It fails if A leaves floats no digit at all.
+    The residual of the linear system is computed with twice the digits, and the solution is corrected until it converges.
+    Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12. The method fails if A is so ill-conditioned
+    that a solution in floats has no correct digit.
 
     Args:
-        system: system from w to z, whose `beyond` counts.
+        system: system from w to z, including its low-order digits `beyond`.
         omega: angular frequencies [rad/s], shape (F,).
 
     Returns:
@@ -85,7 +88,8 @@ def transfer_matrix_closely(system: Plant, omega: Array) -> tuple[Array, Array]:
     A_low, C_low = beyond[:n], beyond[n:]
     turned = omega[:, None, None]
     shifted, right = 1j * turned * np.eye(n) - A, np.hstack([Bw, np.zeros((n, r))])
-    high, low = np.zeros((2, len(omega), n, 2 * r))  # real parts beside imaginary ones
+    # The columns of the real parts are followed by those of the imaginary parts
+    high, low = np.zeros((2, len(omega), n, 2 * r))
     T, moved = np.zeros((len(omega), len(C), r), dtype=complex), np.full(len(omega), np.inf)
     for _ in range(MOST_TURNS):
         by, into = exact_product(turned, _times_j(high)), product(A, high)
@@ -110,12 +114,12 @@ def _times_j(x: Array) -> Array:
 
 
 class Gain:
-    """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on an interval of the axis.
+    """Largest singular value of T(j omega) of a continuous system over an interval of frequencies, in balanced coordinates.
 
     Args:
         system: system from w to z, with u = 0.
-        low: start of the interval [rad/s], from 0.
-        high: end of the interval [rad/s], above low; may be infinite.
+        low: lower end of the interval, at least 0 [rad/s].
+        high: upper end of the interval, above low [rad/s]; may be infinite.
     """
 
     def __init__(self, system: Plant, low: float = 0.0, high: float = np.inf) -> None:
@@ -127,7 +131,7 @@ class Gain:
         own_stability = stability_of_balanced(A)
         self.poles, self.vectors = own_stability.poles, own_stability.vectors
         self.at_infinity = float(np.linalg.norm(self.system.Dw, 2))
-        self.last = (self.system.Dw.size + 4) * np.finfo(float).eps  # relative rounding of a singular value of an exact T
+        self.last = (self.system.Dw.size + 4) * np.finfo(float).eps  # relative rounding error of a singular value if T is exact
         self.stable = own_stability.stable
         on_axis = np.abs(np.imag(self.poles[own_stability.on_axis]))
         on_axis = on_axis[(on_axis >= low) & (on_axis <= high)]
@@ -135,33 +139,36 @@ class Gain:
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
 
     def within(self, omega: Array) -> Array:
-        """Returns frequencies [rad/s] clipped to the interval."""
+        """Returns the frequencies [rad/s], limited to the interval."""
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
-        """Returns the largest singular value at angular frequencies [rad/s] of shape (F,), shape (F,)."""
+        """Returns the largest singular value at each angular frequency `omega` [rad/s], shape (F,)."""
         return np.linalg.norm(self.system.frequency_response(omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """Returns `at` computed by the modes, to ALIKE; `at` itself if they give fewer digits."""
+        """Returns `at`, computed from the modal form with the relative error ALIKE; `at` itself if the modal form is worse."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def at_poles(self) -> float:
-        """Returns the largest gain at infinity, at the interval's edges and where poles are: at most the norm, and near it."""
+        """Returns the largest gain at infinity, at the ends of the interval and near the poles.
+
+        This gain is a lower bound on the norm and close to the norm.
+        """
         upper = self.poles[np.imag(self.poles) >= 0]
         omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
         gains = largest_singular_values(self.system.frequency_response(omega))
         return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
-        """Returns the highest gain within some widths of some frequencies, and its frequency [rad/s]."""
+        """Returns the highest gain near the frequencies `omega`, within the distances `width`, and its frequency [rad/s]."""
         at = self._climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
     def rounding(self, omega: Array) -> float:
-        """Returns a bound on the rounding of `at` at frequencies [rad/s], to first order.
+        """Returns a first-order bound on the rounding error of `at` at the frequencies `omega` [rad/s].
 
-        (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
+        Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.
         """
         A, C, n = self.system.A, np.abs(self.system.C), len(self.system.A)
         R = np.abs(np.linalg.inv(1j * omega[:, None, None] * np.eye(n) - A))
@@ -170,34 +177,39 @@ class Gain:
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
-        """Returns the largest rounding of `at` at frequencies [rad/s], measured with twice the digits."""
+        """Returns the largest rounding error of `at` at frequencies [rad/s], measured with twice the digits."""
         gains, missing = self.at_double_double(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
     def at_double_double(self, omega: Array) -> tuple[Array, Array]:
-        """Returns `at` with twice the digits, shape (F,), and bounds on its error."""
+        """Returns `at` computed with twice the digits, and bounds on its error, both of shape (F,)."""
         T, missing = transfer_matrix_closely(self.system, omega)
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """Returns the error bound of `at_double_double` at a frequency; 0 at infinity."""
+        """Returns the error bound of `at_double_double` at the frequency `at` [rad/s]; 0 at infinite frequency."""
         return float(self.at_double_double(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def grid_error(self, at: float) -> float:
-        """Returns the relative excess of a peak between the best frequency and the next one tried, to second order."""
+        """Returns the relative amount by which a peak may exceed the best gain found, to second order.
+
+        This higher peak would lie between the best frequency and the next frequency tried.
+        """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
         apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def missed_closely(self, at: float) -> float:
-        """Returns `grid_error` measured with twice the digits, if rounding may have moved poles and misled the search.
+        """Returns `grid_error`, measured with twice the digits.
 
-        Near a resonance the gain to the power of -2 is a parabola, fitted here through three frequencies.
+        This method is used if rounding may have moved poles and misled the search.
+
+        Near a resonance, gain^-2 is a parabola in the frequency. The parabola is fitted through three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and a peak beyond it does not count
+        if at > 0 and at in (self.low, self.high):  # the end of the interval was evaluated exactly; peaks outside do not count
             return self.grid_error(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
         (below, here, above), _ = self.at_double_double(np.array([at - step, at, at + step]))
@@ -207,7 +219,7 @@ class Gain:
         return float(lowest**-0.5 - 1)
 
     def refined_peak(self, at: float) -> tuple[float, float]:
-        """Returns the highest gain with twice the digits near a frequency or near any pole, and its frequency [rad/s]."""
+        """Returns the highest gain near `at` [rad/s] or near any pole, with twice the digits, and its frequency [rad/s]."""
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
         gains, _ = self.at_double_double(omega)
@@ -217,11 +229,14 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """Returns the higher of a gain at a frequency and the gain at infinity, if the interval contains infinity."""
+        """Returns the gain `best` and its frequency `at`, or those of infinity if the gain is higher at infinity.
+
+        Infinite frequency is considered only if the interval is unbounded.
+        """
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Returns the frequency of the highest gain within some widths of some frequencies [rad/s], shape (1,)."""
+        """Returns the frequency [rad/s] of the highest gain near the frequencies `omega`, within `width`, shape (1,)."""
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)
@@ -230,7 +245,7 @@ class Gain:
         return omega[[gain(omega).argmax()]]
 
     def _width(self, omega: Array) -> Array:
-        """Returns the damping of the pole nearest to each frequency [rad/s]: no peak is narrower."""
+        """Returns the damping of the pole nearest to each frequency [rad/s]. No peak is narrower than this damping."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
 
@@ -240,7 +255,10 @@ class Gain:
 
     @cached_property
     def _residues(self) -> Array | None:
-        """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None if digits are lost."""
+        """Residues C v w' Bw of the modes, shape (n, d r), where v and w are the right and left eigenvectors.
+
+        The value is None if the modal form loses too many digits.
+        """
         if not len(self.system.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
             return None
         seen, driven = (self.system.C @ self.vectors).T, np.linalg.solve(self.vectors, self.system.Bw.astype(complex))
@@ -250,22 +268,23 @@ class Gain:
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
 
 
-EXACT = 1e-10  # relative; the search ends if the level set this far above the best gain is empty
+EXACT = 1e-10  # relative height above the best gain at which the level set must be empty for the search to end
 REFINED_PEAKS = 2  # number of the highest peaks near poles that are refined before the first level set
-SEEN = 1e-9  # relative; beyond this rounding a norm is computed with twice the digits
-CLEAR = 1.1  # times the gain at infinity: smallest level for which the Hamiltonian is well conditioned
+SEEN = 1e-9  # relative rounding error above which a norm is computed with twice the digits
+CLEAR = 1.1  # smallest level for which the Hamiltonian is well conditioned, as a multiple of the gain at infinity
 
 
 @dataclass(frozen=True)
 class Norm:
-    """An H-infinity norm.
+    """H-infinity norm of a system, computed by two methods.
 
     Attributes:
-        value: the larger of the two routes; infinite if the system is not stable.
+        value: larger result of the two methods; infinite if the system is not stable.
         peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
-        level_set: the first route's value.
-        sweep: the second route's value.
-        rounding: relative error of the value, to first order: by rounding, and by a peak between neighbouring floats.
+        level_set: result of the method of level sets.
+        sweep: result of the frequency sweep.
+        rounding: first-order bound on the relative error of `value`, from rounding and from a peak between neighbouring
+            frequencies.
     """
 
     value: float
@@ -276,13 +295,20 @@ class Norm:
 
     @property
     def gap(self) -> float:
-        """Relative difference between the two routes."""
+        """Relative difference between the results of the two methods."""
         return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
 
 
 @one_thread()
 def hinf_norm(system: Plant) -> Norm:
-    """Returns the H-infinity norm from w to z with u = 0, by both routes.
+    """Returns the H-infinity norm from w to z for u = 0, computed by level sets and by a frequency sweep.
+
+    Args:
+        system: continuous or discrete system from w to z; for a plant with a controller, use `plant.closed_loop(...)`.
+
+    Returns:
+        Norm, peak frequency [rad/s] and the results of both methods, as a `Norm`. The norm is infinite if the system is not
+        stable.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, hinf_norm
@@ -303,13 +329,13 @@ def hinf_norm(system: Plant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """Returns the largest gain on an interval of the axis by both routes; the system may be unstable, but has no pole there."""
+    """Returns the largest gain on an interval by both methods. The system may be unstable, but has no pole on the interval."""
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
     ends, grid_error = ends[np.isfinite(ends)], gain.grid_error
     rounding = gain.rounding(ends)
-    if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding is measured
+    if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding error is measured
         rounding, grid_error = gain.rounded(ends), gain.missed_closely
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.refined_peak(at_sweep), gain.refined_peak(at_level)
@@ -319,9 +345,10 @@ def by_both_routes(gain: Gain) -> Norm:
 
 
 def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
-    """Returns the largest gain of a discrete system by both routes.
+    """Returns the largest gain of a discrete system by both methods.
 
-    They run on its bilinear image, which only proposes frequencies. The gain there is that of the discrete system.
+    The methods search on the bilinear image of the system, which is continuous and proposes frequencies. The returned gain is
+    computed from the discrete system at these frequencies.
     """
     norms, discrete = [], FEATURES.load("discrete plants")
     for route in (by_level_sets, by_sweep):
@@ -337,7 +364,7 @@ def discrete_by_both_routes(system: Plant, dt: float, gain: Gain) -> Norm:
 
 
 def gain_at(system: Plant, omega: float) -> float:
-    """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
+    """Returns the largest singular value at the frequency omega [rad/s], computed with twice the digits."""
     if system.dt is not None:
         discrete = FEATURES.load("discrete plants")
         at = discrete.mapped_frequency(omega, system.dt) * system.dt / 2
@@ -348,14 +375,17 @@ def gain_at(system: Plant, omega: float) -> float:
 def level_set_norm(system: Plant) -> tuple[float, float]:
     """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
-    The eigenvalues only propose frequencies; the transfer function decides. So no tolerance has to tell an imaginary eigenvalue
-    from one that rounding moved off the axis.
+    Eigenvalues only propose frequencies, and the transfer function gives the gains. No tolerance is therefore needed to
+    distinguish an imaginary eigenvalue from an eigenvalue that rounding moved off the axis.
     """
     return by_level_sets(Gain(system))
 
 
 def by_level_sets(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by level sets, and its frequency [rad/s]; infinite if a pole lies on it."""
+    """Returns the largest gain on an interval by level sets, and its frequency [rad/s].
+
+    The gain is infinite if a pole lies on the interval.
+    """
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
     omega = gain.within(np.concatenate([gain.edges, np.abs(gain.poles), np.abs(np.imag(gain.poles))]))
@@ -364,7 +394,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
     best, at = gain.or_at_infinity(*gain.climb(omega[highest], width[highest]))
     if best == 0.0:
         return 0.0, 0.0
-    for _ in range(100):  # quadratic convergence: 1 to 3 rounds
+    for _ in range(100):  # converges quadratically, in 1 to 3 iterations
         proposed, apart = proposals(gain, best * (1 + EXACT))
         gains = gain.about(proposed)
         if gain.at(proposed[[gains.argmax()]])[0] <= best * (1 + EXACT):
@@ -375,10 +405,11 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns the crossings of a level and the points between them, shape (k,), and half their spacing, shape (k,) [rad/s].
+    """Returns frequencies at which a gain above the level may be found, and half their spacing, shapes (k,) [rad/s].
 
-    Between two crossings, or a crossing and an edge, the gain lies above the level everywhere, or nowhere. So if any gain is
-    above the level, one of these is.
+    The frequencies are the crossings of the level, the ends of the interval, and the midpoints between them. Between two
+    neighbouring crossings, the gain is above the level either everywhere or nowhere. If any gain exceeds the level, the gain at
+    one of these frequencies therefore does, too.
     """
     crossings = level_crossings(gain.system, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -387,15 +418,16 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(system: Plant, level: float) -> Array:
-    """Returns the imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
+    """Returns the imaginary parts >= 0 of the Hamiltonian matrix's eigenvalues in ascending order [rad/s], shape (k,).
 
-    They contain every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level.
+    The first value is 0. The values include every frequency at which a singular value of Dw + C (s - A)^-1 Bw
+    equals the level.
     """
     A, Bw, C, Dw = system.A, system.Bw, system.C, system.Dw
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
     if not through or level > CLEAR * np.linalg.norm(Dw, 2):
-        # The Hamiltonian, from which w and z are eliminated.
+        # Hamiltonian matrix without w and z, which are eliminated
         into, out, moved = Bw / level, C, A
         if through:
             size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
@@ -406,8 +438,8 @@ def level_crossings(system: Plant, level: float) -> Array:
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
-        # A pencil with w and z as unknowns, as their elimination is singular if the level is the gain at infinity. The error of
-        # its eigenvalues grows with its largest entry, so units of time, states and z (powers of two) make the entries similar.
+        # Pencil with w and z as unknowns. Eliminating them would be singular if the level is the gain at infinity. The errors
+        # of the eigenvalues grow with the largest entry. Units of time, states and z (powers of two) make the entries similar.
         rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
         of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
@@ -419,15 +451,15 @@ def level_crossings(system: Plant, level: float) -> Array:
         pencil[2 * n : 2 * n + d, 2 * n : 2 * n + r], pencil[2 * n + d :, 2 * n + r :] = Dw, Dw.T
         pencil[2 * n : 2 * n + d, 2 * n + r :], pencil[2 * n + d :, 2 * n : 2 * n + r] = -level * np.eye(d), -level * np.eye(r)
         dynamic = np.diag([1.0] * 2 * n + [0.0] * (r + d))
-        with np.errstate(divide="ignore", invalid="ignore"):  # the eigenvalues at infinity
+        with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues at infinity divide by zero
             eigenvalues = linalg.eigvals(pencil, dynamic)
         eigenvalues = rate * eigenvalues[np.isfinite(eigenvalues)]
     proposed = np.imag(eigenvalues)
-    return np.append(0.0, np.sort(proposed[proposed > 0]))  # they come in conjugate pairs
+    return np.append(0.0, np.sort(proposed[proposed > 0]))  # eigenvalues are conjugate pairs: positive parts suffice
 
 
 def _power_of_two(size: float) -> float:
-    """Returns the power of two next to a size; 1 if the size is 0 or not finite."""
+    """Returns the power of two that is nearest to a size; 1 if the size is 0 or not finite."""
     return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
@@ -437,13 +469,16 @@ def sweep_norm(system: Plant) -> tuple[float, float]:
 
 
 def by_sweep(gain: Gain) -> tuple[float, float]:
-    """Returns the largest gain on an interval by a sweep, and its frequency [rad/s]; infinite if a pole lies on it."""
+    """Returns the largest gain on an interval by a frequency sweep, and its frequency [rad/s].
+
+    The gain is infinite if a pole lies on the interval.
+    """
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
     size = np.abs(gain.poles)
     floor = max(size.max(initial=0.0) * 1e-12, np.finfo(float).tiny)
     low, high = (np.log10(max(edge, floor)) for edge in (size.min(initial=1.0), size.max(initial=1.0)))
-    # Around every pole, points spaced by its damping: no resonance is narrower than that.
+    # Frequencies around every pole, spaced relative to its damping, because no resonance is narrower than the damping
     widths = np.linspace(-4, 4, 33)
     upper = gain.poles[np.imag(gain.poles) >= 0]
     near = np.imag(upper)[:, None] + np.abs(np.real(upper))[:, None] * widths

@@ -1,7 +1,7 @@
-"""Certificates as plain data, for logs and, with their gains, for vehicle files.
+"""Certificates as plain data, for logs and for vehicle files with designed gains.
 
-A record has the numbers that a check cannot recompute: the X of (20) and the dual certificates of the lower bound. It also has
-the claimed numbers, for comparison.
+A record contains the numbers that a check cannot recompute: X of (20), and the dual certificates of the lower bound. A record
+also contains the claimed norm and bounds, so that a check can compare them with the recomputed values.
 """
 
 from collections.abc import Mapping
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
     from synth.analysis.sampled_loop import SampledDataProblem
 
 
-SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # of the sampled loop, for controllers of any order
-VEHICLE = "vehicle"  # numbers of the vehicle that was certified, by section of its file
+SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # keys of the sampled-data loop's bound for any order
+VEHICLE = "vehicle"  # key of the numbers of the certified vehicle, by section of the vehicle file
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF, VEHICLE)
 LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
-SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them
-SAME = 1e-9  # relative: difference that rounding on another machine may cause
+SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units; vehicles stay far within them
+SAME = 1e-9  # relative difference that rounding on another machine may cause
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
-    """Returns claims and proofs for JSON and TOML, without absent or infinite ones."""
+    """Returns the claims and proofs of a certificate for JSON and TOML, without absent or infinite values."""
     below = certificate.below
     record: dict[str, Any] = {
         "norm": certificate.norm.value,
@@ -51,12 +51,12 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 
 
 def bound_record(bound: SampledBound | None) -> dict[str, Any]:
-    """Returns the lower bound of a sampled loop, and its proof, as certificates hold them; empty without one."""
+    """Returns the lower bound of a sampled-data loop and its proof, as a record contains them; empty if there is no bound."""
     return {SAMPLED_BOUND: bound.level, SAMPLED_PROOF: _proof_record(bound.proof)} if bound is not None else {}
 
 
 def _proof_record(below: LowerBound) -> dict[str, Any]:
-    """Returns the proof of a lower bound as data."""
+    """Returns the proof of a lower bound as plain data."""
     record: dict[str, Any] = {"limit_at": below.limit_at} if below.limit_at is not None else {}
     if below.zeros:
         record["zeros"] = [[[zero.real, zero.imag] for zero in kind] for kind in below.zeros]
@@ -67,11 +67,14 @@ def _proof_record(below: LowerBound) -> dict[str, Any]:
 
 
 def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[Array | None, float | None, LowerBound]:
-    """Returns X and eta for (20), both None if one is absent, and the lower bound that the record proves; with numpy alone.
+    """Returns X and eta of (20), and the lower bound that the record proves. The computation uses numpy alone.
+
+    X and eta are both None if one of them is absent.
 
     Args:
         record: record from `to_record`.
-        kept: number of controller states, which are in X, too.
+        plant: plant with n states, without the states of the controller.
+        kept: number of controller states, which X includes.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.
@@ -101,7 +104,7 @@ def read_proof(record: Mapping[str, Any], plant: Plant, kept: int = 0) -> tuple[
 
 
 def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem") -> SampledBound:
-    """Returns the claimed lower bound of a sampled loop with what its proof proves; see `bound_record`.
+    """Returns the claimed lower bound of a sampled-data loop, with the result of checking its proof; see `bound_record`.
 
     Raises:
         InputError: the proof is malformed.
@@ -117,7 +120,7 @@ def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem")
 
 
 def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
-    """Returns the lower bound that the proofs of a record prove; arguments and errors as for `read_proof`."""
+    """Returns the lower bound that the proofs in a record prove. Arguments and errors are those of `read_proof`."""
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
@@ -137,7 +140,7 @@ def _prove_bound(record: Mapping[str, Any], plant: Plant) -> LowerBound:
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
-    """Returns the claims of a record that the recomputed certificate does not confirm, in words."""
+    """Returns texts of the claims in a record that differ from the recomputed certificate."""
     true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:

@@ -1,12 +1,13 @@
-"""Linear algebra for proofs: exact over the integers, and definiteness in floats, with a bound on the rounding.
+"""Linear algebra for proofs: exact algebra in integers, and a test of definiteness in floats with bounded rounding errors.
 
-Matrices of integers are numpy arrays of Python's integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
-is a minor of the matrix, so the integers grow only with the number of rows.
+Matrices of integers are numpy arrays of Python integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
+is a minor of the matrix, so the size of the integers grows only with the number of rows.
 
-If the Cholesky decomposition of M - c I runs to its end in floating point, M is positive definite in exact arithmetic, provided
-that c exceeds the rounding errors (Rump 2006, Verification of positive definiteness, BIT 46, 433-452): the computed
-factor R satisfies R'R = M - c I + D with |D| <= d d', d_j^2 = gamma_j / (1 - gamma_j) M_jj, gamma_j about j unit roundoffs. The
-test errs on one side only: a matrix that is singular to rounding is not proved.
+The definiteness of M is tested with a Cholesky decomposition of M - c I in floating point. If the decomposition succeeds, M is
+positive definite in exact arithmetic, provided that c exceeds the rounding errors (Rump 2006, Verification of positive
+definiteness, BIT 46, 433-452). The computed factor R satisfies R'R = M - c I + D with |D| <= d d', where d_j^2 = gamma_j / (1 -
+gamma_j) M_jj, and gamma_j is about j unit roundoffs. The test never accepts a matrix that is not positive definite, but it
+rejects a positive definite matrix that is singular up to rounding.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from models.common.arrays import Array
 
 
 def integers(matrix: Array) -> tuple[Array, int]:
-    """Returns integers N and a power of two s with matrix = N / s exactly."""
+    """Returns a matrix of integers N and a power of two s such that matrix = N / s exactly."""
     ratios = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
     scale = max((bottom for _, bottom in ratios), default=1)
     whole = np.empty(len(ratios), dtype=object)
@@ -27,7 +28,7 @@ def integers(matrix: Array) -> tuple[Array, int]:
 
 
 def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
-    """Returns `unit` times a matrix of integers, every entry rounded once.
+    """Returns `unit` times a matrix of integers as floats. Every entry is rounded once.
 
     Raises:
         OverflowError: an entry is too large for a float.
@@ -37,35 +38,36 @@ def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
 
 
 def product(left: Array, right: Array) -> Array:
-    """Returns left @ right for integers, with zeros if the inner dimension is zero."""
+    """Returns left @ right for matrices of integers. If the inner dimension is 0, the product is zero."""
     return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
 
 
 def zeros(*shape: int) -> Array:
-    """Returns an array of integers that are all zero."""
+    """Returns an array of Python integers, all zero."""
     empty = np.empty(shape, dtype=object)
     empty[...] = 0
     return empty
 
 
 def identity(n: int) -> Array:
-    """Returns the identity in integers, shape (n, n)."""
+    """Returns the identity matrix in Python integers, shape (n, n)."""
     eye = zeros(n, n)
     eye[np.arange(n), np.arange(n)] = 1
     return eye
 
 
-PRIME = 2**31 - 1  # products of two remainders fit into 64 bits
+PRIME = 2**31 - 1  # the product of two remainders fits into 64 bits
 
 
 def span_all(rows: Array, step: Array) -> bool:
-    """Returns True only if rows, rows step, rows step^2, ... span everything, as those of an observable plant do.
+    """Returns True only if the rows of rows, rows step, rows step^2, ... span the whole space.
 
-    A rank modulo a prime is never above the true one, so True is a proof. False may also be a coincidence.
+    For a plant, this means that the plant is observable. The rank is computed modulo a prime, and it never exceeds the true
+    rank. True is therefore a proof, but False may be a coincidence.
 
     Args:
-        rows: integers, shape (d, n).
-        step: integers, shape (n, n).
+        rows: matrix of integers, shape (d, n).
+        step: matrix of integers, shape (n, n).
     """
     n = len(step)
     moved = (step % PRIME).astype(np.int64)
@@ -85,12 +87,12 @@ def span_all(rows: Array, step: Array) -> bool:
 
 
 class Nullspace:
-    """The solutions Phi of K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
+    """Solutions Phi of K' Phi = 0 for a matrix of integers K, shape (N, c). Some rows of Phi determine the other rows.
 
     Attributes:
-        pivots: rows of Phi that follow from the free ones; as many as the rank of K.
-        free: rows of Phi that may be chosen.
-        independent: columns of K that are a basis of its column space.
+        pivots: indices of the rows of Phi that the free rows determine; their number is the rank of K.
+        free: indices of the rows of Phi that may be chosen freely.
+        independent: indices of columns of K that form a basis of its column space.
     """
 
     def __init__(self, K: Array) -> None:
@@ -117,16 +119,23 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Returns the Phi with given free rows, integers of shape (len(free), k), up to a common factor, shape (N, k)."""
+        """Returns the solution Phi for given free rows, up to a common factor.
+
+        Args:
+            values: free rows of Phi, integers, shape (len(free), k).
+
+        Returns:
+            All rows of Phi, integers, shape (N, k).
+        """
         Phi = zeros(self._rows.shape[1], values.shape[1])
         Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
         for row, j in zip(self._rows[::-1], self.pivots[::-1], strict=True):
-            Phi[j] = -product(row[None], Phi)[0] // row[j]  # without remainder, by Cramer's rule
+            Phi[j] = -product(row[None], Phi)[0] // row[j]  # the division has no remainder, by Cramer's rule
         return Phi * self._shift[:, None]
 
 
 def _similar_columns(rows: Array) -> tuple[Array, Array]:
-    """Returns rows without common factors, their columns scaled by powers of two to similar size, and those powers."""
+    """Divides rows by their common factors, and scales columns by powers of two to similar size. Returns rows and powers."""
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
     if not rows.size:
@@ -138,7 +147,11 @@ def _similar_columns(rows: Array) -> tuple[Array, Array]:
 
 
 def without_factors(columns: Array) -> tuple[Array, int]:
-    """Returns columns, each scaled by a positive factor, and a power of two near the largest entry of every column."""
+    """Divides columns by their common factors, and scales them to similar size.
+
+    Returns:
+        The columns, and a power of two near the largest entry of every column.
+    """
     columns = columns.copy()
     for j in range(columns.shape[1]):
         columns[:, j] //= np.gcd.reduce(columns[:, j]) or 1
@@ -150,30 +163,31 @@ def without_factors(columns: Array) -> tuple[Array, int]:
 
 
 def root_below(square: Fraction) -> float:
-    """Returns a float that is not above the square root of a number."""
+    """Returns a float that is at most the square root of a number."""
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, 0.0), 0.0)) if square > 0 else 0.0
 
 
 def root_above(square: Fraction) -> float:
-    """Returns a float that is not below the square root of a number."""
+    """Returns a float that is at least the square root of a number."""
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0
 
 
 UNIT = np.finfo(float).eps / 2  # unit roundoff
 SMALLEST = (
-    1e-200  # lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all. Beyond, numbers may under- or overflow
+    # Lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all entries. Other values may under- or overflow
+    1e-200
 )
-TINY = 1e-100  # more than the sum of all underflows of one proof, with a diagonal of size one
+TINY = 1e-100  # larger than the sum of all underflows of one proof, if the diagonal entries are near 1
 
 
 @dataclass(frozen=True)
 class Definiteness:
-    """The definiteness of a symmetric matrix, scaled to a diagonal between 1/2 and 2.
+    """Result of a definiteness test of a symmetric matrix, scaled to diagonal entries between 1/2 and 2.
 
     Attributes:
-        smallest: smallest eigenvalue as computed; NaN if a diagonal entry is not positive, or an entry is out of range.
-        rounding: the smallest eigenvalue that counts as proof.
-        proved: True if the matrix is positive definite beyond any rounding.
+        smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive or an entry is out of range.
+        rounding: smallest eigenvalue that a proof needs.
+        proved: True if the matrix is proved positive definite despite rounding.
     """
 
     smallest: float
@@ -182,14 +196,14 @@ class Definiteness:
 
 
 def radius_of_solution(residual: float, contraction: float, curvature: float) -> float | None:
-    """Returns a radius about a point within which a quadratic equation has a solution; None if that is not proved.
+    """Returns a radius around a point within which a quadratic equation f(x) = 0 has a solution; None if this is not proved.
 
-    By Brouwer's fixed-point theorem, as x - R f(x) maps the ball about the point into itself (Krawczyk).
+    The proof uses Brouwer's fixed-point theorem: x - R f(x) maps the ball around the point into itself (Krawczyk).
 
     Args:
         residual: bound on |R f| at the point.
-        contraction: bound on |I - R f'| there.
-        curvature: bound on twice |R f| of what is quadratic, over the square of the distance.
+        contraction: bound on |I - R f'| at the point.
+        curvature: bound on twice the quadratic part of |R f|, divided by the square of the distance from the point.
     """
     if not contraction < 0.5:
         return None
@@ -198,15 +212,15 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Checks if every symmetric matrix whose entries round to those of M, exactly symmetric, is positive definite."""
+    """Tests whether every symmetric matrix whose entries round to those of M is positive definite. M is exactly symmetric."""
     k = len(M)
     diagonal = np.diagonal(M)
-    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # rejects a NaN, too
+    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # this condition also rejects NaN
         return Definiteness(np.nan, np.nan, False)
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded, and no sign changes
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling rounds nothing and changes no sign
     M = M * scale * scale[:, None]
-    # Rounding of the entries and in the decomposition; doubled, as libraries multiply by reciprocals instead of dividing, and
-    # these sums are rounded themselves.
+    # Rounding errors of the entries and of the decomposition. The sum is doubled, because libraries multiply by reciprocals
+    # instead of dividing, and because these sums are rounded themselves.
     entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
     decomposition = (k + 5) * UNIT * float(np.trace(M))
     shift = 2 * (entries + decomposition) + TINY
@@ -219,17 +233,17 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Returns True if all matrices of a stack are positive definite, with any error of each entry up to `lost`.
+    """Returns True if all matrices of a stack are positive definite, for any errors of the entries up to `lost`.
 
     Args:
-        M: shape (V, k, k); the symmetric parts count.
+        M: V matrices, shape (V, k, k), of which only the symmetric parts are used.
         lost: largest error of each entry, shape (V, k, k).
     """
     M = (M + M.swapaxes(-1, -2)) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
-    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # rejects a NaN, too
+    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # this condition also rejects NaN
         return False
-    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded
+    scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two, so that scaling rounds nothing
     across = scale[..., :, None] * scale[..., None, :]
     M, lost, k = M * across, lost * across, M.shape[-1]
     shift = 2 * (lost.sum(axis=-1).max(axis=-1) + (k + 5) * UNIT * np.trace(M, axis1=-2, axis2=-1)) + TINY

@@ -1,25 +1,27 @@
-"""Sampled loops: a plant that is measured every period and whose inputs are held, lifted to a discrete plant.
+"""Sampled-data loops: a continuous plant with sampled measurements and held inputs, lifted to a discrete plant.
 
-Over a period of T seconds z is a function, and so is w. For a level gamma there is a discrete plant with as many states,
+Over a period of T seconds, z and w are functions of time. For a level gamma, there is a discrete plant with as many states,
 
-    x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k],
+    x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k].
 
-such that for any controller at the samples, the L2 gain from w to z is below gamma if and only if the l2 gain from w_d to z_d is
-below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs v as constant states, and w in units of gamma,
+Consider any controller that acts at the samples. The L2 gain from w to z is below gamma if and only if the l2 gain from w_d to
+z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs as constant states, and w in units of gamma,
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is regular for all times in (0, T]. Otherwise the gain is gamma or more within one period, before any force can react.
+if S22 is regular for all times in (0, T]. Otherwise, the gain within one period is at least gamma, before any force can
+respond.
 
-S itself grows without bound with the period. So Ad, Bd Bd' and Cd' Cd are computed for a short time, which is doubled repeatedly.
-Two consecutive intervals combine to
+S itself grows without bound as the period grows. Therefore, Ad, Bd Bd' and Cd' Cd are computed for a short time first. This
+time is then doubled repeatedly. Two consecutive intervals combine to
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The whole is regular if and only if both parts are and Bd1 Bd1' Cd2' Cd2 has no eigenvalue
-of 1 or more. No digits cancel. Ad - I is computed, not Ad, as it is small for a fast sample rate.
+with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The combined interval is regular if and only if both intervals are regular and Bd1 Bd1'
+Cd2' Cd2 has no eigenvalue of 1 or more. No digits cancel. The code computes Ad - I instead of Ad, because Ad - I is small at a
+fast sample rate.
 """
 
 import math
@@ -37,13 +39,13 @@ from synth.plant.generalized import Plant, check_states
 from synth.plant.loop import HoldInterval, hold_intervals
 from synth.plant.state_space import StateSpace
 
-SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
-TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
+SHORT = 0.5  # norm of H times the short time; S22 then differs from I by at most 0.65, so it is regular
+TERMS = 14  # number of terms in the series of S; the next term is 0.5^15 / 15!, which is below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedPlant:
-    """The discrete plant of a level; its states are the plant's and the held inputs.
+    """Discrete plant of a level. Its states are the n states of the plant and the k held inputs.
 
     Attributes:
         increment: Ad - I, shape (n + k, n + k).
@@ -57,26 +59,29 @@ class LiftedPlant:
 
     @property
     def Ad(self) -> Array:
-        """State matrix, shape (n + k, n + k)."""
+        """State matrix Ad, shape (n + k, n + k)."""
         return np.eye(len(self.increment)) + self.increment
 
     @property
     def Bd(self) -> Array:
-        """A root of Bd Bd', shape (n + k, n + k)."""
+        """Matrix Bd, a square root of Bd Bd', shape (n + k, n + k)."""
         return _root(self.BdBd)
 
     @property
     def Cd(self) -> Array:
-        """A root of Cd' Cd, shape (n + k, n + k)."""
+        """Matrix Cd, a square root of Cd' Cd, shape (n + k, n + k)."""
         return _root(self.CdCd).T
 
     def followed_by(self, later: "LiftedPlant") -> "LiftedPlant | None":
-        """Returns this interval and the next as one, or None if the gain within it is the level or more."""
+        """Returns this interval combined with the next one.
+
+        The result is None if the gain within the combined interval is at least the level.
+        """
         product = self.BdBd @ later.CdCd
-        # No eigenvalue is larger than the norm, which costs little.
+        # No eigenvalue exceeds the norm, so the cheap norm is tried first.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
             return None
-        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))  # M - I, M Bd1 Bd1'
+        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))  # M - I and M Bd1 Bd1'
         between, reached = more[:, : len(product)], more[:, len(product) :]
         first, second = self.Ad, later.Ad
         increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
@@ -87,10 +92,13 @@ class LiftedPlant:
 
 
 def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float) -> LiftedPlant | None:
-    """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
+    """Returns the discrete plant of a level over one period; None if the gain within the period is at least gamma.
 
     Args:
-        pieces: duration [s] of each part of the period, and selection of those of the k held inputs that act, shape (m, k).
+        plant: plant in continuous time with m inputs.
+        pieces: duration [s] of each part of the period, and the matrix that selects the m acting inputs from the k held inputs,
+            shape (m, k).
+        gamma: level of the L2 gain.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
@@ -107,7 +115,10 @@ def lift_plant(plant: Plant, pieces: Sequence[tuple[float, Array]], gamma: float
 
 
 def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
-    """Returns A, Bw and C of the plant with k held inputs as further states, of which `acting`, shape (m, k), selects m."""
+    """Returns A, Bw and C of the plant with k held inputs as additional states.
+
+    `acting`, shape (m, k), selects the m inputs that act on the plant.
+    """
     n, k = len(plant.A), acting.shape[1]
     A, Bw = np.zeros((n + k, n + k)), np.zeros((n + k, plant.Bw.shape[1]))
     A[:n, :n], A[:n, n:], Bw[:n] = plant.A, plant.B @ acting, plant.Bw
@@ -115,7 +126,7 @@ def with_inputs(plant: Plant, acting: Array) -> tuple[Array, Array, Array]:
 
 
 def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> LiftedPlant | None:
-    """Returns the discrete plant over one piece of the period, by doubling a short time."""
+    """Returns the discrete plant over one part of the period, computed by repeatedly doubling a short time."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
     n = len(A)
@@ -128,7 +139,7 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
     H = np.block([[A, driven], [-seen, -A.T]])
     doublings = max(0, math.ceil(math.log2(max(duration * float(np.linalg.norm(H, 1)) / SHORT, 1e-300))))
     step = duration / 2**doublings * H
-    change = step  # S - I, by its series
+    change = step  # S - I, computed from its series
     for term in range(TERMS, 1, -1):
         change = step + step @ change / term
     inverse = np.linalg.inv(np.eye(n) + change[n:, n:])
@@ -147,14 +158,17 @@ def _piece(plant: Plant, duration: float, acting: Array, gamma: float) -> Lifted
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Returns A, Bw and C in units of the states in which H is small, and these units; the states after the n-th are constant."""
+    """Returns A, Bw and C in units of the states for which H is small, and these units, shape (N,).
+
+    Only the first n states have dynamics; the other states are constant.
+    """
     scale = np.ones(len(A))
     _, scale[:n] = balance(A[:n, :n])
     driven, seen = np.linalg.norm(Bw[:n] / scale[:n, None]), np.linalg.norm(C[:, :n] * scale[:n])
     if driven and seen:
         scale[:n] *= math.sqrt(driven / seen)
     largest = max(float(np.linalg.norm(A[:n, :n] * scale[:n] / scale[:n, None])), float(np.sqrt(driven * seen)))
-    for i in range(n, len(A)):  # a held input's unit: so small that its entries do not exceed the others
+    for i in range(n, len(A)):  # the unit of a held input is so small that its entries do not exceed the other entries
         size = max(float(np.linalg.norm(A[:n, i] / scale[:n])), float(np.linalg.norm(C[:, i])))
         scale[i] = largest / size if size else 1.0
     return A * scale / scale[:, None], Bw / scale[:, None], C * scale, scale
@@ -165,7 +179,10 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _root(matrix: Array) -> Array:
-    """Returns L with L L' = matrix, which is positive semidefinite up to rounding; the units of its rows may differ."""
+    """Returns L with L L' = matrix.
+
+    The matrix is positive semidefinite up to rounding. The units of its rows may differ.
+    """
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
@@ -174,22 +191,23 @@ def _root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop(CheckedFields):
-    """A plant with a discrete controller.
+    """Plant with a discrete controller.
 
-    With the plant's states x at a sample, the controller's states s, and p = [x; s],
+    At a sample, let x be the states of the plant, s the states of the controller, and p = [x; s]. Then
 
         u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the acting force at the period's end. Noise of the readings is a sequence e, whose energy is the sum of its
-    squares. It adds `noise` e to [u; s+].
+    where u_a is the force that acts at the end of the period. The noise of the measurements is a sequence e, whose energy is
+    the sum of its squares. The noise adds `noise` e to [u; s+].
 
     Attributes:
-        plant: n states, m inputs.
-        pieces: parts of the period, in order.
+        plant: plant in continuous time with n states and m inputs.
+        pieces: parts of the period, in order of time.
         K: gain from p to the computed forces, shape (m, n + k).
-        A_register: gain from p to the next controller states, shape (k, n + k).
-        B_register: gain from the acting force to the next controller states, shape (k, m).
-        noise: gain from the noise to the computed forces and the next controller states, shape (m + k, j), or None.
+        A_register: matrix from p to the next controller states, shape (k, n + k).
+        B_register: matrix from the acting force to the next controller states, shape (k, m).
+        noise: matrix from the noise to the computed forces and the next controller states, shape (m + k, j); None without
+            noise.
     """
 
     plant: Plant
@@ -213,14 +231,17 @@ class SampledLoop(CheckedFields):
     @classmethod
     @check_arguments
     def of_gain(cls, plant: Plant, K: Matrix, Cy: Matrix, sample_period: PositiveTime, delay: NotNegative = 0.0) -> "SampledLoop":
-        """Returns the loop of a gain, u = K y at every sample.
+        """Returns the sampled-data loop of a static gain, u = K y at every sample.
 
         Args:
-            plant: n states, m inputs.
-            K: shape (m, q).
-            Cy: the measurements, y = C_y x, shape (q, n).
+            plant: plant in continuous time with n states and m inputs.
+            K: gain, shape (m, q).
+            Cy: matrix of the measurements y = C_y x, shape (q, n).
             sample_period: sample period [s].
             delay: delay from a measurement to its force [samples], which may be fractional.
+
+        Returns:
+            The loop, as a `SampledLoop`.
 
         Raises:
             InputError: a matrix does not fit the plant.
@@ -232,13 +253,14 @@ class SampledLoop(CheckedFields):
 
     @classmethod
     def of_law(cls, plant: Plant, law: Array, pieces: tuple[HoldInterval, ...], noise: Array) -> "SampledLoop":
-        """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
+        """Returns the sampled-data loop of a static gain, or of a discrete control law with k states.
 
         Args:
-            plant: n states, m inputs, and q measurements y = C_y x + Dyu u + `noise` e, where u acts just before a sample.
-            law: matrix [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
-            pieces: parts of the sample period.
-            noise: shape (q, j); j may be 0.
+            plant: plant with n states, m inputs and q measurements y = C_y x + Dyu u + `noise` e, where u acts just before a
+                sample.
+            law: matrix [D, C; B, A] of the law, shape (m + k, q + k); for k = 0, the gain itself.
+            pieces: parts of the sample period, in order of time.
+            noise: matrix from the noise to the measurements, shape (q, j); j may be 0.
         """
         (n, m), q = plant.B.shape, len(plant.Cy)
         k, previous = len(law) - m, m if np.any(plant.Dyu) else 0
@@ -256,38 +278,43 @@ class SampledLoop(CheckedFields):
 
     @property
     def largest_delay(self) -> int:
-        """The largest delay of a force in samples."""
+        """Largest delay of a force [samples]."""
         return max(piece.delay_samples for piece in self.pieces)
 
     @property
     def states(self) -> int:
-        """Number N of the states [x; s; delayed forces]."""
+        """Number N of states of the loop: [x; s; delayed forces]."""
         return self.K.shape[1] + self.largest_delay * len(self.K)
 
     @cached_property
     def input_selections(self) -> list[tuple[float, Array]]:
-        """Duration [s] and input selection of every piece, shape (m, m pieces): each piece has its own held inputs."""
+        """Duration [s] and input selection of every part of the period, shape (m, m pieces).
+
+        Each part of the period has its own held inputs.
+        """
         m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
 
     @cached_property
     def increment(self) -> Array:
-        """Undisturbed transition of [x; held inputs] over a period less the identity, shape (n + i, n + i)."""
+        """Transition of [x; held inputs] over one period without disturbance, minus the identity, shape (n + i, n + i)."""
         total = np.zeros((0, 0))
         for duration, acting in self.input_selections:
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
-            # exp(A t) - I is the integral of exp(A s) A, computed as for a held input A: without cancellation.
+            # exp(A t) - I is the integral of exp(A s) A. It is computed like the effect of a held input with the matrix A,
+            # which avoids cancellation.
             piece = StateSpace(A, A, A[:0], A[:0]).hold_matrices(duration)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
         return total
 
     def register(self) -> tuple[Array, Array]:
-        """Returns two maps from all N states, whose delayed forces are sorted by the time at which they act.
+        """Returns two matrices that act on all N states. The delayed forces are sorted by the time at which they act.
 
         Returns:
-            To [x; held inputs] at the sample, shape (n + i, N), and to the next states except x, shape (N - n, N).
+            The matrix to [x; i held inputs] at the sample, shape (n + i, N), and the matrix to the next states except x, shape
+            (N - n, N).
         """
         n, (m, known) = len(self.plant.A), self.K.shape
         delayed, late = self.largest_delay * m, self.largest_delay
@@ -302,13 +329,13 @@ class SampledLoop(CheckedFields):
 
     @property
     def noise_gain(self) -> tuple[Array, Array]:
-        """From the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j); j may be 0."""
+        """Matrices from the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j)."""
         m, k = len(self.K), len(self.A_register)
         noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
         return noise[:m], noise[m:]
 
     def noise_to_inputs(self) -> tuple[Array, Array]:
-        """Returns the maps of `register` from the noise, instead of the states, shapes (n + i, j) and (N - n, j)."""
+        """Returns the matrices of `register`, but from the noise instead of the states, shapes (n + i, j) and (N - n, j)."""
         computed, kept = self.noise_gain
         forces = [np.zeros_like(computed) if piece.delay_samples else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
@@ -317,13 +344,13 @@ class SampledLoop(CheckedFields):
         return start, np.vstack([memory, waiting, computed] if self.largest_delay else [memory])
 
     def entering_at(self, angles: Array) -> tuple[Array, Array]:
-        """Returns the maps from the noise at zeta = exp(j angle): to [x; held inputs], and to the next controller states.
+        """Returns the matrices from the noise at zeta = exp(j angle) to [x; held inputs], and to the next controller states.
 
         Args:
             angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
-            Shapes (F, n + i, j) and (F, k, j).
+            The two matrices for each angle, complex, shapes (F, n + i, j) and (F, k, j).
         """
         (computed, kept), turned = self.noise_gain, np.exp(1j * angles)
         forces = [computed * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
@@ -331,30 +358,36 @@ class SampledLoop(CheckedFields):
         return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
-        """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].
+        """Returns the transition matrix of the loop minus the identity, shape (N, N), and the matrix from its states.
 
         Args:
-            increment: transition of [x; held inputs] over a period less the identity, shape (n + i, n + i).
+            increment: transition of [x; held inputs] over one period minus the identity, shape (n + i, n + i).
+
+        Returns:
+            The transition minus the identity, and the matrix from the N states to [x; held inputs], shape (n + i, N).
         """
         start, rest = self.register()
         n, N = len(self.plant.A), start.shape[1]
         return np.vstack([increment[:n] @ start, rest - np.eye(N - n, N, n)]), start
 
     def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
-        """Returns the loop at zeta = exp(j angle). A delay is a power of zeta there, so delayed forces need no states.
+        """Returns the loop at the points zeta = exp(j angle) of the unit circle.
+
+        A delay is a power of zeta at these points, so delayed forces need no states.
 
         Args:
-            increment: change of the gain, as in `closed`.
+            increment: transition of [x; held inputs] over one period minus the identity, as in `closed`.
             angles: angles on the unit circle [rad], shape (F,).
 
         Returns:
-            zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
+            zeta I minus the transition of p, shape (F, n + k, n + k), and the matrix from p to [x; held inputs], shape
+            (F, n + i, n + k).
         """
         n, known, turned = len(self.plant.A), self.K.shape[1], np.exp(1j * angles)
         forces = [self.K * (turned**-piece.delay_samples)[:, None, None] for piece in self.pieces]
         start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
         matrix = np.empty((len(angles), known, known), dtype=complex)
-        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without cancellation
+        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, computed without cancellation
         matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
         matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.A_register - self.B_register @ forces[-1]
         return matrix, start
@@ -362,18 +395,20 @@ class SampledLoop(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class SampledDataProblem:
-    """A plant whose m forces are held from sample to sample and delayed by some samples.
+    """Plant whose m forces are held between samples and delayed by a number of samples.
 
-    The states of a level's plant are the plant's, and the previous forces that are still delayed or part of a measurement, the
-    last first. No gain acts on these: a controller with feedback of its own output would be a law with states.
+    The discrete plant of a level has additional states besides those of the plant. These states are the previous forces that
+    are still delayed or part of a measurement, the latest force first. Gains do not act on these states. A controller that uses
+    its own previous output is a control law with states.
 
-    Noise of rms s on a reading counts as much as 1 m/s of w. Held over T seconds, that has the energy T s^2. So the noise of a
-    reading is s / sqrt(T) times a sequence whose energy is the sum of its squares.
+    Measurement noise of rms s has the same weight as a road velocity w of 1 m/s. Held over T seconds, this velocity has the
+    energy T s^2 in units of s. The noise of a measurement is therefore s / sqrt(T) times a sequence whose energy is the sum of
+    its squares.
 
     Attributes:
-        plant: plant in continuous time with n states and q measurements, whose Dyu is that of the force before a sample.
-        pieces: parts of the sample period: two if the delay has a fraction of a period.
-        rms: rms noise of each measurement, shape (q,); None without noise.
+        plant: plant in continuous time with n states and q measurements. Its Dyu is that of the force just before a sample.
+        pieces: parts of the sample period; there are two parts if the delay includes a fraction of a period.
+        rms: rms noise of each measurement, in its unit, shape (q,); None without noise.
     """
 
     plant: Plant
@@ -382,22 +417,22 @@ class SampledDataProblem:
 
     @property
     def period(self) -> float:
-        """[s]."""
+        """Sample period [s]."""
         return sum(piece.duration for piece in self.pieces)
 
     @property
     def before(self) -> int:
-        """Age in samples of the force that acts just before a sample."""
+        """Age of the force that acts just before a sample [samples]."""
         return self.pieces[-1].delay_samples + 1
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number of previous forces among the states."""
+        """Number of previous forces that are states of the discrete plant, per input."""
         return max(self.pieces[0].delay_samples, self.before if np.any(self.plant.Dyu) else 0)
 
     @cached_property
     def rows(self) -> Array:
-        """C_y on all states, shape (q, n + m remembered)."""
+        """Matrix C_y on all states of the discrete plant, shape (q, n + k m), with k = `stored_forces`."""
         (q, m), k = self.plant.Dyu.shape, self.stored_forces
         past = np.zeros((q, k * m))
         if np.any(self.plant.Dyu):
@@ -406,29 +441,30 @@ class SampledDataProblem:
 
     @property
     def without_delay(self) -> "SampledDataProblem":
-        """The same with forces that act at the sample, and in nothing that is measured."""
+        """Same problem without delay, and with measurements that do not depend on the forces."""
         return replace(self, plant=self.plant.without_feedthrough, pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
     def noise(self) -> Array:
-        """From noise of energy one to the measurements, shape (q, j): a column for each that has noise."""
+        """Matrix from noise of energy 1 to the measurements, shape (q, j), with a column for each noisy measurement."""
         if self.rms is None:
             return np.zeros((len(self.plant.Cy), 0))
         return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
 
     def of(self, kept: Sequence[int]) -> "SampledDataProblem":
-        """Returns the same with some of the measurements."""
+        """Returns the same problem with only the measurements at the indices `kept`."""
         rms = None if self.rms is None else self.rms[kept]
         return replace(self, plant=self.plant.rows(kept), rms=rms)
 
     def loop(self, K: Array) -> SampledLoop:
-        """Returns the loop of a gain or a discrete law, as the computer closes it; `K` as `law` of `SampledLoop.of_law`."""
+        """Returns the sampled-data loop of a static gain or a discrete law. `K` is the `law` of `SampledLoop.of_law`."""
         return SampledLoop.of_law(self.plant, K, self.pieces, self.noise)
 
     def at(self, gamma: float) -> Plant | None:
-        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible.
+        """Returns the discrete plant of the level gamma; None if the gain within one period is already at least gamma.
 
-        It measures `rows` of its states, and the noise.
+        The norm of a loop with this plant is below 1 if and only if the L2 gain is below gamma. The measurements of the plant
+        are `rows` of its states plus the noise.
         """
         (n, m), k = self.plant.B.shape, self.stored_forces
         count = len(self.pieces)
@@ -436,10 +472,10 @@ class SampledDataProblem:
         lifted_loop = lift_plant(self.plant, intervals, gamma)
         if lifted_loop is None:
             return None
-        start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
+        start = np.zeros((n + count * m, n + (k + 1) * m))  # from the states and the new force to [x; acting forces]
         start[:n, :n] = np.eye(n)
         for i, piece in enumerate(self.pieces):
-            acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the new force comes last
+            acts = n + ((piece.delay_samples or k + 1) - 1) * m  # the new force has the last columns
             start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
         moved = np.zeros((n + k * m, n + (k + 1) * m))
         moved[:n] = lifted_loop.Ad[:n] @ start

@@ -1,15 +1,17 @@
-"""The L2 gain of a sampled loop, from the continuous disturbance to the continuous z: exact, and from below.
+"""L2 gain of a sampled-data loop from the continuous w to the continuous z: the exact value and a lower bound.
 
 A level exceeds the gain if its discrete plant (`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The
-bilinear image of that loop has the same gains. The eigenvalues of its Hamiltonian propose the angles on the unit circle at which
-a gain is 1, as for a continuous loop; the gain is evaluated there and in between. At the angle of the largest gain the level is
-changed until that gain is 1. It is then the gain for a disturbance whose phase advances by this angle per sample.
+bilinear image of this loop has the same gains, and it is a continuous loop. The eigenvalues of its Hamiltonian matrix propose
+the angles on the unit circle at which a gain is 1. The gain is evaluated at these angles and between them. At the angle of the
+largest gain, the level is changed until this gain is 1. The level is then the gain for a disturbance whose phase advances by
+this angle per sample.
 
-The second route, from below, uses no levels. It considers disturbances whose phase advances by an angle per sample and which are
-polynomials of low degree over each part of the period. For these x is exact by matrix exponentials, and so is the energy of z:
-the largest gain among them is the largest singular value of one matrix. It is the gain of an actual disturbance (fast lifting,
-Keller, Anderson 1992, but of z itself, not of its samples). As a worst disturbance is smooth, and the gain stationary there,
-the error is of order 2 (degree + 1) in the parts' length.
+The second method gives a lower bound and does not use levels. This method considers disturbances whose phase advances by an
+angle per sample, and which are polynomials of low degree over each part of the period. For these disturbances, matrix
+exponentials give x and the energy of z exactly. The largest gain among these disturbances is therefore the largest singular
+value of one matrix. This value is the gain of an actual disturbance. The method is a fast lifting (Keller, Anderson 1992), but
+of z itself, not of its samples. The worst disturbance is smooth, and the gain is stationary there. The error thus has the order
+2 (degree + 1) in the length of the parts.
 """
 
 import math
@@ -27,16 +29,16 @@ from synth.analysis.specification import ABOVE, BELOW, SampledNorm
 from synth.analysis.stability import balance, sampled_growth
 from synth.plant.generalized import Plant
 
-DEGREE = 3
-FEWEST, MOST = 4, 64  # limits of the first number of parts of a piece
-LONGEST = 1.0  # limit of the length of a part, times the fastest rate of the plant
-NODES = 12  # of a quadrature: its error for exp(2 t), the worst integrand, is 1e-30
-MOST_COLUMNS = 1200  # of the matrix: more take seconds
-SHORT = 1e-7  # relative: a lower bound this close to the norm is not refined
+DEGREE = 3  # degree of the polynomials
+FEWEST, MOST = 4, 64  # limits of the initial number of parts of each hold interval
+LONGEST = 1.0  # largest length of a part, as a multiple of 1 / (fastest rate of the plant)
+NODES = 12  # nodes of a quadrature; its error for exp(2 t), the worst integrand, is 1e-30
+MOST_COLUMNS = 1200  # limit of the columns of the matrix; a larger matrix takes seconds
+SHORT = 1e-7  # relative distance from the norm below which a lower bound is not refined
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
-    """Returns `reached_gain` at an angle, with parts doubled until it is near the norm or the matrix becomes too large."""
+    """Returns `reached_gain` at an angle. The number of parts is doubled until the gain is near the norm, or up to a limit."""
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
     each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
     most = max(FEWEST, MOST_COLUMNS // each)
@@ -50,18 +52,19 @@ def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
 
 
 def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGREE) -> float:
-    """Returns the largest gain of a piecewise polynomial disturbance, a true lower bound of the loop's gain.
+    """Returns the largest gain of a piecewise polynomial disturbance, which is a lower bound on the gain of the loop.
 
     Args:
-        loop: loop that is stable.
-        angle: phase advance of the disturbance per sample [rad]; NaN for one period alone.
-        parts: number of parts of every piece of the period.
+        loop: stable loop.
+        angle: phase advance of the disturbance per sample [rad]; NaN for a disturbance of one period only.
+        parts: number of parts of every hold interval in the period.
+        degree: degree of the polynomials.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
     width = n + len(loop.input_selections) * len(loop.K)
 
-    # Maps to the current [x; held inputs]: `free` from those at the sample, `forced` from every polynomial so far.
+    # Matrices to the current [x; held inputs]: `free` from the values at the sample, `forced` from all polynomials so far
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.input_selections:
@@ -89,14 +92,15 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
     """Returns the transition of the state over h seconds, the effect of polynomials on it, and a root of the energy of z.
 
-    The energy itself is never formed: with states in very different units, its small parts are lost in rounding. Its root is z at
-    the nodes of a quadrature, compressed by an orthogonal transformation, which keeps the digits of each column.
+    The energy matrix itself is never computed: if the units of the states differ a lot, rounding would destroy its small
+    entries. The root consists of z at the nodes of a quadrature. An orthogonal transformation compresses it without loss of
+    digits in any column.
 
-    A polynomial is given by the coefficients of Legendre polynomials of energy one. The states after the n-th are constant.
+    A polynomial is given by its coefficients of Legendre polynomials of energy 1. The states after the n-th are constant.
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
-    # w is the first of a chain of k integrators; at the start they hold its derivatives, in units of the part's length.
+    # w is the first of a chain of k integrators. Their initial values are the derivatives of w, in units of the part's length.
     derivatives = np.zeros((k, k))
     for j in range(k):
         polynomial = legendre.Legendre.basis(j, domain=[0, 1]) * math.sqrt((2 * j + 1) / h)
@@ -105,7 +109,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     larger[:size, :size], larger[:size, size : size + r] = A, Bw
     larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    # Over a short time z is nearly a polynomial, whose energy the quadrature gives exactly; then the time is doubled.
+    # Over a short time, z is nearly a polynomial, and the quadrature gives its energy exactly. Then the time is doubled.
     doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
     short = h / 2**doublings
     nodes, weights = legendre.leggauss(NODES)
@@ -120,24 +124,30 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
 
 
 def _small(root: Array) -> Array:
-    """Returns R with the same R' R and no more rows than columns."""
+    """Returns an R with R' R = root' root that has no more rows than columns."""
     return np.asarray(np.linalg.qr(root, mode="r"))
 
 
-CLOSE = 1e-11  # relative: a gain this near to 1 counts as 1
-ROUNDS = 100  # limit of a search, which needs a handful
-ZOOMS = 4  # sevenfold refinements of a bracket around a peak; level sets follow
-NOTHING = 1e-15  # relative to the first level: a smaller gain is zero
-AT_ONCE = 4096  # frequencies computed together; more take hundreds of megabytes
+CLOSE = 1e-11  # relative distance from 1 below which a gain counts as 1
+ROUNDS = 100  # largest number of iterations of a search; most searches need fewer than ten
+ZOOMS = 4  # sevenfold refinements of the interval around a peak, before the level sets
+NOTHING = 1e-15  # gain relative to the first level below which the gain counts as zero
+AT_ONCE = 4096  # number of frequencies that are computed together; more would need hundreds of megabytes
 
 
 @one_thread()
 def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
-    """Returns the L2 gain of a sampled loop from w, and the noise if it has some, to 1e-8.
+    """Returns the L2 gain of a sampled-data loop from w to z, with a relative error of at most 1e-8.
+
+    If the loop has measurement noise, the noise counts as a further disturbance.
 
     Args:
-        loop: loop, stable or not.
-        near: a positive estimate of the norm.
+        loop: sampled-data loop, stable or not.
+        near: positive estimate of the gain, from which the search starts.
+
+    Returns:
+        The gain with a lower and an upper level, and the gain of an actual disturbance, as a `SampledNorm`. All are infinite if
+        the loop is not stable.
 
     Example:
         >>> from synth import GeneralizedPlant, SampledLoop, sampled_norm
@@ -153,26 +163,26 @@ def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
 
 
 def stable(loop: SampledLoop) -> bool:
-    """Returns True if a sampled loop is stable."""
+    """Returns True if the sampled-data loop is stable."""
     return _poles(loop) is not None
 
 
 def _poles(loop: SampledLoop) -> Array | None:
-    """Returns the poles of a loop from sample to sample; None for an unstable one."""
+    """Returns the poles of the loop from sample to sample; None if the loop is not stable."""
     change, _ = loop.closed(loop.increment)
     transition = np.eye(len(change)) + change
     return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
 
 
 class _Level:
-    """A loop closed around the discrete plant of a level."""
+    """Closed loop with the discrete plant of a level."""
 
     def __init__(self, loop: SampledLoop, plant: LiftedPlant, level: float) -> None:
         self.loop, self.plant, self.level = loop, plant, level
         self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
 
     def gains(self, angles: Array) -> Array:
-        """Returns the largest singular value from w_d to z_d at angles [rad] of shape (F,), shape (F,)."""
+        """Returns the largest singular value from w_d to z_d at each of the angles [rad], shape (F,)."""
         if len(angles) > AT_ONCE:
             return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
         matrix, start = self.loop.at_angles(self.plant.increment, angles)
@@ -187,7 +197,7 @@ class _Level:
         return largest_singular_values(self.Cd @ reached)
 
     def crossings(self) -> Array:
-        """Returns angles [rad], ascending from 0, that contain all at which a singular value is 1."""
+        """Returns angles [rad] in ascending order from 0, including all angles at which a singular value is 1."""
         change, start = self.loop.closed(self.plant.increment)
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
@@ -200,7 +210,7 @@ class _Level:
         return 2 * np.arctan(T / 2 * level_crossings(Plant.without_inputs(A, into, out, direct - C @ B), 1.0))
 
     def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
-        """Returns the highest gain within some widths of some angles, and its angle."""
+        """Returns the highest gain near the given angles, within the distances `widths`, and the angle of this gain [rad]."""
         steps = np.linspace(-1, 1, 15)[:, None]
         for _ in range(ZOOMS):
             near = np.clip(angles + widths * steps, 0.0, np.pi)
@@ -211,15 +221,20 @@ class _Level:
 
 
 class _Search:
-    """The search for the level at which the largest gain is 1."""
+    """Search for the level at which the largest gain of the discrete loop is 1."""
 
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
-        """Prepares the search for a stable loop with these poles."""
+        """Prepares the search for a stable loop.
+
+        Args:
+            loop: stable sampled-data loop.
+            poles: poles of the loop from sample to sample, complex.
+        """
         self.loop = loop
-        self.poles = np.log(poles[poles != 0].astype(complex))  # of the equivalent continuous loop, per sample
+        self.poles = np.log(poles[poles != 0].astype(complex))  # poles of the equivalent continuous loop [1/sample]
 
     def run(self, near: float) -> SampledNorm:
-        """Runs the search of `sampled_norm`."""
+        """Runs the search, starting at the level `near`."""
         level, below, there = self._first(near)
         _, angle = self._highest(there)
         for _ in range(ROUNDS):
@@ -228,7 +243,7 @@ class _Search:
                 return SampledNorm(0.0, 0.0, 0.0, np.nan, 0.0)
             upper = level if inside else level * (1 + ABOVE)
             there = self._at(upper)
-            assert there is not None, "a level above one with a discrete plant has one, too"
+            assert there is not None, "every level above a level with a discrete plant has a discrete plant, too"
             gain, higher = self._above(there)
             if gain <= 1:
                 lower = self._at(level * (1 - BELOW))
@@ -244,17 +259,20 @@ class _Search:
         return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """Returns a level with a discrete plant, the last level without one, or 0, and the loop of the first."""
+        """Returns a level that has a discrete plant, a lower level without one (or 0), and the loop of the first level."""
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
             if there is not None:
                 return level, below, there
             below, level = level, 2 * level
-        raise ArithmeticError("the gain of the sampled-data loop within one period has no bound that was found")
+        raise ArithmeticError("no bound was found on the gain of the sampled-data loop within one period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
+        """Returns the largest gain of a level and its angle [rad].
+
+        The search uses a grid of angles that is dense near every pole, and then refines the highest points.
+        """
         turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
         about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
         angles = np.unique(np.concatenate([[0.0, np.pi], np.clip(about, 0.0, np.pi)]))
@@ -265,7 +283,10 @@ class _Search:
         return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
 
     def _above(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of a level at and between its crossings of 1, and its angle if the gain exceeds 1, else 0."""
+        """Returns the largest gain of a level at and between its crossings of 1, and its angle [rad] if the gain exceeds 1.
+
+        If the gain does not exceed 1, the second value is 0.
+        """
         crossings = there.crossings()
         proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
         apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2, [0.0]])
@@ -274,9 +295,10 @@ class _Search:
         return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
 
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
-        """Returns the level whose gain at an angle [rad] is 1, a lower level, and True if the latter has no discrete plant.
+        """Returns the level at which the gain at an angle [rad] is 1, and a lower level.
 
-        A secant iteration in logarithms, bracketed by a level that is too low and one that is high enough.
+        The third value is True if the lower level has no discrete plant. The search is a secant iteration in logarithms. The
+        iteration is bracketed by a level that is too low and a level that is high enough.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""Specifications of a controller, and the norm of a sampled loop between two levels."""
+"""Specifications of a controller, and the norm of a sampled-data loop with levels below and above it."""
 
 import math
 from dataclasses import dataclass
@@ -9,23 +9,23 @@ import numpy as np
 from models.common.printed import digits, finite
 from models.document.field import Field
 
-SAMPLED_NORM = "sampled_norm"  # of the sampled loop, in records; checked if the implementation is known
-ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # of weighted errors
-SAME = 1e-9  # relative: rounding of a bound that is just satisfied
+SAMPLED_NORM = "sampled_norm"  # key of the sampled-data loop's norm in records; checked if the implementation is known
+ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # for weighted uncertainties
+SAME = 1e-9  # relative tolerance for rounding if a value equals its limit
 
 
 @dataclass(frozen=True)
 class Specification:
-    """A quantity for which a controller was designed, or by which it is evaluated.
+    """Quantity for which a controller was designed, or by which it is evaluated, with its value and its limit.
 
     Attributes:
         what: name of the quantity.
         value: largest known value.
-        proved: upper bound that is proved; None if the value is exact to rounding.
+        proved: proved upper bound; None if the value is exact up to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
-        unit: unit of all three values.
-        where: place where the value occurs, or empty.
-        proof: kind of the proof, and if it is exact or computed twice; empty for other proofs than those of errors.
+        unit: unit of `value`, `proved` and `at_most`.
+        where: description of the case in which the value occurs; may be empty.
+        proof: type of the proof, and whether it is exact or computed twice. Empty unless the quantity concerns uncertainties.
     """
 
     what: str
@@ -38,19 +38,19 @@ class Specification:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound, or the exact value, is allowed."""
+        """True if the proved bound (or the exact value) is at most the limit."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
     def proved_text(self) -> str:
-        """The proved upper bound as text."""
+        """Text of the proved upper bound."""
         how = f" ({self.proof})" if self.proof else ""
         return "exact" if self.proved is None else "not proved" if self.proved == math.inf else f"{digits(self.proved)}{how}"
 
     @property
     def text(self) -> str:
-        """The specification on one line."""
+        """One-line text of the specification."""
         unit = f" {self.unit}" if self.unit else ""
         proved = "" if self.proved is None else f", which is proved to be at most {digits(self.proved)}{unit}"
         if self.proved == math.inf:
@@ -64,7 +64,7 @@ class Specification:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The specification as JSON, None for absent or infinite numbers."""
+        """Specification as JSON; absent and infinite numbers are None."""
         return {
             "promise": self.what,
             "value": finite(self.value),
@@ -77,21 +77,21 @@ class Specification:
         }
 
 
-FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # of a peak or a crossover
-ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the enclosing levels from the norm
+FREQUENCY = Field[float]("frequency", float, ".5g", unit="rad/s")  # frequency of a peak or a crossover
+ABOVE, BELOW = 1e-8, 1e-9  # relative distances from the norm of the levels above and below it
 
 
 @dataclass(frozen=True)
 class SampledNorm:
-    """The L2 gain of a sampled loop.
+    """L2 gain of a sampled-data loop.
 
     Attributes:
-        value: the gain; infinite if the loop is not stable.
-        lower: a level below the gain.
-        upper: a level above the gain.
-        angle: phase advance of the worst disturbance per sample [rad], 0 to pi; NaN if no angle is the worst.
-        reached: gain of an actual disturbance, by a second route (`sampled_norm.py`); at most the norm.
-        inside: True if the largest gain occurs within one period: no controller at this rate does better.
+        value: L2 gain; infinite if the loop is not stable.
+        lower: level below the gain.
+        upper: level above the gain.
+        angle: phase advance of the worst disturbance per sample [rad], from 0 to pi; NaN if there is no worst angle.
+        reached: gain of an actual disturbance, at most the norm, computed by a second method (`sampled_norm.py`).
+        inside: True if the largest gain occurs within one period. Then no controller with this sample rate reduces the gain.
     """
 
     value: float
@@ -108,5 +108,5 @@ class SampledNorm:
 
     @property
     def gap(self) -> float:
-        """Relative difference between the two routes."""
+        """Relative difference between the results of the two methods."""
         return abs(self.value - self.reached) / self.value if 0 < self.value < np.inf else 0.0

@@ -1,12 +1,14 @@
-"""Stability of a loop: stable, marginal or unstable; and the modes that prevent stabilisation.
+"""Stability of a loop (stable, marginal or unstable), and modes that make stabilisation impossible.
 
-Computed eigenvalues are those of some A + E with |E| about eps |A|. A pole lies on the imaginary axis *to rounding* if such an E
-puts an eigenvalue at j omega, omega its imaginary part: if the smallest singular value of A - j omega is at most |E| (Trefethen,
-Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole the distance allowed is the eigenvalue's condition number
-times |E|. The criterion also holds for multiple poles, whose condition number is infinite: rounding moves a double pole at the
-origin by sqrt(eps), and it is still marginal; it moves one at -1 as far, which is still stable.
+Computed eigenvalues are the exact eigenvalues of a matrix A + E, where |E| is about eps |A|. Consider a pole with the imaginary
+part omega. This pole counts as lying on the imaginary axis *to rounding* if such an E can move an eigenvalue to j omega. This
+is the case if the smallest singular value of A - j omega is at most |E| (Trefethen, Embree 2005, Spectra and Pseudospectra,
+section 2). For a simple pole, the allowed distance from the axis is the condition number of the eigenvalue times |E|.
 
-A mode that does not decay by itself must be controllable and observable, or no controller stabilises it.
+The criterion also holds for multiple poles, whose condition number is infinite. Rounding moves a double pole at the origin by
+sqrt(eps), and the pole still counts as marginal. A double pole at -1 moves by the same distance, and it still counts as stable.
+
+A controller can stabilise a plant only if every mode that does not decay is controllable and observable.
 """
 
 import itertools
@@ -24,21 +26,21 @@ from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
-FAR = 1e3  # times the first-order rounding: a pole further from the axis does not lie on it
-LARGE, SEVERAL = 64, 8  # states and points, above which a Schur form pays
-PART = 400  # rows of its parts, at most; a bound by more of them is soon worth nothing
+FAR = 1e3  # multiple of the first-order rounding error; a pole farther from the axis does not lie on it
+LARGE, SEVERAL = 64, 8  # numbers of states and of points above which a Schur form saves time
+PART = 400  # largest number of rows in a part of the Schur form; with more rows, the bound becomes too weak
 
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """The poles of a loop and the resulting verdict.
+    """Poles of a loop, and whether the loop is stable.
 
     Attributes:
-        poles: eigenvalues of A [rad/s], complex, shape (n,), sorted; of a discrete loop, z without a unit.
-        on_axis: mask of the poles on the imaginary axis, or the unit circle, to rounding, shape (n,).
-        rounding: size of E [rad/s], or without a unit.
-        vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
-        dt: seconds between samples of a discrete loop; None for a continuous one.
+        poles: sorted eigenvalues of A [rad/s], complex, shape (n,); for a discrete loop, poles z without a unit.
+        on_axis: mask of the poles on the imaginary axis (discrete: on the unit circle) to rounding, shape (n,).
+        rounding: norm of E [rad/s]; without a unit for a discrete loop.
+        vectors: right eigenvectors of the balanced A, each of length 1, complex, shape (n, n).
+        dt: sample period of a discrete loop [s]; None for a continuous loop.
     """
 
     poles: Array
@@ -49,29 +51,32 @@ class Stability:
 
     @property
     def growth(self) -> Array:
-        """Real parts of the poles, or |z| - 1, shape (n,): negative for poles that decay."""
+        """Real parts of the poles (discrete: |z| - 1), shape (n,); negative if the pole decays."""
         return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
 
     @property
     def rates(self) -> Array:
-        """Magnitudes of the poles [rad/s], or |z - 1| / dt, shape (n,)."""
+        """Magnitudes of the poles [rad/s] (discrete: |z - 1| / dt), shape (n,)."""
         return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
 
     @property
     def verdict(self) -> str:
-        """`STABLE`, `MARGINAL` (nothing grows faster than rounding, but something does not decay) or `UNSTABLE`."""
+        """`STABLE`, `MARGINAL` or `UNSTABLE`. Marginal: no pole is unstable beyond rounding, but some pole does not decay."""
         if np.any(self.growth[~self.on_axis] > 0):
             return UNSTABLE
         return MARGINAL if np.any(self.on_axis) else STABLE
 
     @property
     def stable(self) -> bool:
-        """True if every pole lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+        """True if every pole is stable by more than rounding: left of the imaginary axis, or (discrete) in the unit circle."""
         return self.verdict == STABLE
 
     @property
     def worst(self) -> complex:
-        """The deciding pole: the fastest growing, or one on the axis if none grows; -inf, or z = 0, without poles."""
+        """Pole that decides about stability: the fastest growing pole, or a pole on the axis if no pole grows.
+
+        If there are no poles, the value is -inf, or z = 0 for a discrete loop.
+        """
         deciding, growth = self.poles, self.growth
         if self.verdict == MARGINAL:
             deciding, growth = deciding[self.on_axis], growth[self.on_axis]
@@ -81,7 +86,7 @@ class Stability:
 
     @property
     def words(self) -> str:
-        """The verdict and the pole that decides, on one line."""
+        """One-line text with the verdict and the pole that decides."""
         if self.dt is not None:
             where = pole_text(self.worst, self.dt)
             if self.verdict == STABLE:
@@ -99,11 +104,11 @@ class Stability:
 
 
 def stability(A: Array, dt: float | None = None) -> Stability:
-    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and their stability.
+    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and whether they are stable.
 
     Args:
-        A: shape (n, n), finite.
-        dt: seconds between samples; None for a continuous loop.
+        A: finite matrix, shape (n, n).
+        dt: sample period [s]; None for a continuous loop.
     """
     balanced = balance(A)[0]
     if dt is None:
@@ -113,18 +118,19 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 
 
 def stability_of_balanced(A: Array) -> Stability:
-    """Returns the `stability` of a continuous loop whose matrix is balanced."""
+    """Returns the `stability` of a continuous loop from its balanced matrix."""
     poles, conditions, vectors = _eigen(A)
     on_axis = _within_rounding(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
 
 
 def sampled_growth(Phi: Array) -> float:
-    """Returns the spectral radius of a finite Phi, shape (n, n), in x[k+1] = Phi x[k]: exactly 1 if that is 1 to rounding."""
+    """Returns the spectral radius of a finite matrix Phi, shape (n, n). If it is 1 up to rounding, returns exactly 1."""
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
-    # The poles outside the circle come first: where one is outside by more than rounding, the hundreds of a delay do not matter.
+    # Poles outside the circle are checked first. If one is outside by more than rounding, the hundreds of poles that a delay
+    # can add need no check.
     outside = size > 1
     on_circle = _on_circle(Phi, poles, conditions, outside)
     if np.any(outside & ~on_circle):
@@ -134,12 +140,12 @@ def sampled_growth(Phi: Array) -> float:
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
-    """Returns True if every eigenvalue lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+    """Returns True if every pole is stable by more than rounding; see `stability`."""
     return stability(A, dt).stable
 
 
 def balance(A: Array) -> tuple[Array, Array]:
-    """Returns the balanced S^-1 A S, with rows and columns of similar size, and the diagonal S, shape (n,)."""
+    """Returns the balanced matrix S^-1 A S, whose rows and columns have similar size, and the diagonal of S, shape (n,)."""
     if not len(A):
         return A, np.ones(0)
     balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
@@ -147,14 +153,14 @@ def balance(A: Array) -> tuple[Array, Array]:
 
 
 def rounding(A: Array) -> float:
-    """Returns the size of E, the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
+    """Returns the norm of E, the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """Returns a pole, or a pair, with four digits and its unit: a real pole is a rate of growth or decay.
+    """Returns a text of a pole or a conjugate pair, with four digits and its unit. A real pole is a rate of growth or decay.
 
-    For a discrete loop z has enough digits to differ from the unit circle.
+    For a discrete loop, z has enough digits to differ from the unit circle.
     """
     if dt is not None:
         size = abs(pole)
@@ -167,18 +173,18 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
-    """Returns sorted complex eigenvalues, their condition numbers, infinite if defective, and right eigenvectors."""
+    """Returns eigenvalues (complex, sorted), their condition numbers (infinite if defective), and right eigenvectors."""
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
     with np.errstate(divide="ignore", over="ignore"):
-        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # both have length one
+        conditions = 1 / np.abs(np.sum(left.conj() * right, axis=0))  # eigenvectors have length 1
     order = np.lexsort((np.imag(poles), np.real(poles)))
     return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask of the `asked` eigenvalues of a balanced matrix that are on the unit circle to rounding, shape (n,)."""
+    """Returns a mask of the eigenvalues on the unit circle to rounding, shape (n,), among those selected by `asked`."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
@@ -186,9 +192,9 @@ def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
     """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
     allowed = rounding(A)
-    # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
+    # The condition number bounds the movement of a pole to first order. Poles far beyond this distance are skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
-    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # the same for a conjugate
+    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # conjugate points have the same answer
     known = _nearly_singular(A, dict.fromkeys(pairs), allowed)
     mask = np.zeros(len(A), dtype=bool)
     mask[near] = [known[pair] for pair in pairs]
@@ -196,18 +202,19 @@ def _within_rounding(A: Array, conditions: Array, points: Array, distances: Arra
 
 
 def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
-    """Returns True for each point p, by its parts, if a singular matrix lies within a distance of A - p I.
+    """Returns, for each point p, whether a singular matrix exists within a distance of A - p I.
 
-    That is so if the smallest singular value is at most the distance.
+    This is the case if the smallest singular value of A - p I is at most the distance. Points are given by real and imaginary
+    part.
     """
     points = list(points)
-    # Of a delay's many states a Schur form is found once; then a bound at a point takes a small part of the time.
+    # For the many states of a delay, a Schur form is computed once. A bound at a point then takes far less time.
     schur = len(A) > LARGE and len(points) > SEVERAL
     inverse_size = _Triangle(A).inverse_size if schur else lambda p: float(np.linalg.norm(np.linalg.inv(A - p * np.eye(len(A)))))
 
     def at(p: complex) -> bool:
         try:
-            # A lower bound on the smallest singular value, at a tenth of the time.
+            # A lower bound on the smallest singular value takes a tenth of the time of the value itself.
             if 1 / inverse_size(p) > 2 * distance:
                 return False
         except np.linalg.LinAlgError:
@@ -218,21 +225,21 @@ def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: 
 
 
 class _Triangle:
-    """A Schur form T of a matrix, in k by k parts."""
+    """Schur form T of a matrix, divided into k by k parts."""
 
     def __init__(self, A: Array) -> None:
         T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
         edges = np.linspace(0, len(A), 1 + -(-len(A) // PART)).astype(int)
         slices = [slice(*pair) for pair in itertools.pairwise(edges)]
         self.diagonal = [T[each, each] for each in slices]
-        # The geometric mean of the largest sums of a row and of a column is at least the largest singular value.
+        # The geometric mean of the largest row sum and the largest column sum is at least the largest singular value.
         sizes = np.abs(T)
         self.beside = np.array(
             [[math.sqrt(sizes[i, j].sum(axis=0).max() * sizes[i, j].sum(axis=1).max()) for j in slices] for i in slices]
         )
 
     def inverse_size(self, p: complex) -> float:
-        """Returns an upper bound on the norm of (T - p I)^-1, by back substitution with the sizes of the parts.
+        """Returns an upper bound on the norm of (T - p I)^-1, by back substitution with the norms of the parts.
 
         Raises:
             LinAlgError: T - p I is singular.
@@ -248,7 +255,7 @@ def _inverse_of_triangle(matrix: Array) -> Array:
     """Returns the inverse of an upper triangular complex matrix.
 
     Raises:
-        LinAlgError: the triangle is singular.
+        LinAlgError: the matrix is singular.
     """
     inverse, singular = lapack.ztrtri(matrix)  # pyright: ignore[reportAttributeAccessIssue] - made by f2py, without stubs
     if singular:
@@ -257,28 +264,32 @@ def _inverse_of_triangle(matrix: Array) -> Array:
 
 
 def beside_weights(plant: Plant, A: Array) -> Array:
-    """Returns a closed loop's A without the states of weights, whose poles no control moves.
+    """Returns the state matrix of a closed loop without the states of weighting filters, whose poles no controller moves.
 
     Args:
-        plant: plant without control, n states.
-        A: state matrix of a loop with the plant, whose states come first, shape (n + k, n + k).
+        plant: plant without controller, n states.
+        A: state matrix of a loop whose first n states are those of the plant, shape (n + k, n + k).
     """
     n = len(plant.A)
     own = np.r_[: n - plant.weights, n : len(A)]
     return A[np.ix_(own, own)] if plant.weights else A
 
 
-ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero to rounding
-UNCONTROLLABLE = 1e-8  # relative; an input with a smaller effect on a mode does not control it
+ZERO = 1e-12  # size relative to the sum of the terms' sizes; a smaller sum counts as zero
+UNCONTROLLABLE = 1e-8  # relative effect of an input on a mode below which the input does not control the mode
 
 
 def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
-    """Returns the uncontrollable modes that do not decay: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
+    """Returns the uncontrollable modes that do not decay, with each conjugate pair listed once.
 
     Args:
-        A: shape (n, n).
-        B: shape (n, m).
-        dt: seconds between samples of a discrete plant; then A and B are those of its differences, and the eigenvalues z.
+        A: state matrix, shape (n, n).
+        B: input matrix, shape (n, m).
+        dt: sample period of a discrete plant [s], None for a continuous plant. For a discrete plant, A and B are those of its
+            differences (`Plant.differences`), and the eigenvalues are z.
+
+    Returns:
+        The eigenvalue [rad/s] (discrete: z) and the left eigenvector of each mode.
     """
     balanced, scale = balance(A)
     inputs = B / scale[:, None]
@@ -299,10 +310,10 @@ def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[com
 
 
 def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[str]:
-    """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
+    """Returns texts that explain why no controller can stabilise the plant; empty if no single mode prevents it.
 
     Args:
-        plant: without measurements, every state counts as measured.
+        plant: plant to check. If it has no measurements, every state counts as measured.
         states: names of the states. Default: x1, x2, ...
     """
     names, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], plant.dt
@@ -322,11 +333,11 @@ def stabilisability_failures(plant: Plant, states: Sequence[str] = ()) -> list[s
 
 
 def static_feedback_obstructions(plant: Plant) -> list[str]:
-    """Returns reasons why no static output feedback stabilises a stabilisable and detectable plant; empty if none is known.
+    """Returns texts that explain why no static output feedback stabilises the plant; empty if no reason is known.
 
-    A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). For a discrete plant the same
-    holds for its differences, in which z = 1 is 0. Poles that no gain moves decay and are not part of the sum, as those of a
-    filter in a weight.
+    The plant must be stabilisable and detectable. A gain moves the sum of the poles by tr(K C_y B), and it multiplies their
+    product by det(I - K C_y (-A)^-1 B). For a discrete plant, the same holds for its differences, in which z = 1 corresponds to
+    0. Poles that no gain moves, such as those of a filter in a weight, decay and are not part of the sum.
     """
     where, Cy = stability(plant.A, plant.dt), plant.Cy
     if where.stable:
@@ -355,7 +366,7 @@ def static_feedback_obstructions(plant: Plant) -> list[str]:
 
 
 def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
-    """Returns the real parts of simple poles that no gain moves, as no input reaches them or no measurement contains them."""
+    """Returns the real parts of simple poles that no gain moves, because they are not controllable or not observable."""
     balanced, scale = balance(A)
     inputs, outputs, size, fixed = B / scale[:, None], Cy * scale, np.linalg.norm(balanced, 2) or 1.0, list[float]()
     inputs = inputs / np.maximum(np.linalg.norm(inputs, axis=0), np.finfo(float).tiny) * size
@@ -371,5 +382,5 @@ def _fixed_poles(A: Array, B: Array, Cy: Array) -> list[float]:
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:
-    """Returns the name of the state with the largest part of an eigenvector."""
+    """Returns the name of the state with the largest entry of an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]

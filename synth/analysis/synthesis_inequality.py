@@ -1,32 +1,33 @@
-"""The Gahinet-Apkarian inequality of a plant, without the controller's terms, in exact integers and in floats.
+"""Gahinet-Apkarian inequality of a plant, without the terms of the controller, in exact integers and in floats.
 
-For state feedback, a Y of (21) exists if and only if N' (21) N < 0 at Y = 0, N a basis of all q with [B; D]' q = 0 (the
-elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw w adds the same inequality of the transposed
-plant, in S.
+For state feedback, a Y of (21) exists if and only if N' (21) N < 0 at Y = 0. Here N is a basis of all q with [B; D]' q = 0 (the
+elimination lemma; Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w, the same inequality of the transposed
+plant must hold, too, with the unknown S instead of X.
 
-**Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. The columns of F span these directions (`_closure`). No dual solution can weight them,
-so N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the
-transposed plant (B = C_y', D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`_closure`
-of the transposed plant).
+**Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v. The same is true along A B v, and so on,
+as long as these directions are not observable in z. The columns of F span these directions (`_closure`). A dual solution cannot
+weight them. Therefore N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, where J is a basis of all
+rows with J F = 0. For the transposed plant (B = C_y', D = Dyw'), the rows of F' are the states that y and its derivatives
+determine without influence of w.
 
-Along stable states that are unobservable in z, X grows without cost, too.
+X also grows without cost along stable states that are unobservable in z.
 
-**Discrete plants.** There it reads Q X Q' - U X U' + eta b b' - c c' < 0, and 2 (Q X Q' - U X U') = He((Q - U) X (Q + U)'). So
-(Q - U) / 2 and Q + U take the places of Q and U: nothing is rounded. Inputs without cost steer no such directions here: their
-zeros at infinity lie outside the unit circle. F holds the states that inputs bring to zero in some samples while z is zero.
+**Discrete plants.** The inequality of a discrete plant is Q X Q' - U X U' + eta b b' - c c' < 0. Since 2 (Q X Q' - U X U') =
+He((Q - U) X (Q + U)'), the matrices (Q - U) / 2 and Q + U replace Q and U, without rounding. Inputs without cost do not lead to
+the directions above, because their zeros at infinity lie outside the unit circle. Instead, F contains the states that inputs
+can bring to zero within some samples while z is zero.
 
-All ranks are decided in integers on the given numbers, without tolerances. So neither the size of a direction matters, nor the
-units of states, inputs, time, w and z.
+All ranks are determined in integers from the given numbers, without tolerances. The result therefore does not depend on the
+magnitude of a direction, nor on the units of states, inputs, time, w and z.
 
-**Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X grows along that zero without cost, too. Dual
-solutions live on the left deflating subspace of the other zeros,
+**Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X also grows along this zero without cost. Dual
+solutions then belong to the left deflating subspace of the other zeros,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
 and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' instead of U, Q, b, c and X. Floats cannot represent L and
-Lambda exactly, so they are enclosed (`AntistablePart`), as zeros are in `interpolation.py`. Zeros on the axis to rounding are
-left out: the bound is then weaker, but still true.
+Lambda exactly. Both are therefore enclosed (`AntistablePart`), like the zeros in `interpolation.py`. Zeros that lie on the axis
+to rounding are ignored. This makes the bound weaker, but it remains valid.
 """
 
 import math
@@ -52,22 +53,23 @@ from synth.analysis.rigorous import (
 from synth.plant.generalized import Plant
 from synth.plant.units import nearest_power
 
-GROWTH = 1e-9  # relative to |A|; a smaller real part is rounding
-AXIS = 1e-9  # relative to the largest zero; a smaller real part counts as none
-STEPS = 3  # of Newton's method
-SAFE = 4.0  # times what a sum of products may lose to rounding
+GROWTH = 1e-9  # real part relative to |A| below which a mode does not count as growing
+AXIS = 1e-9  # real part relative to the largest zero below which a zero counts as lying on the axis
+STEPS = 3  # number of Newton steps
+SAFE = 4.0  # multiple of the rounding error of a sum of products
 
 
 @dataclass(frozen=True, eq=False)
 class AntistablePart:
-    """The inequality He(Lambda X') + eta b b' - c c' < 0 of the zeros in the open right half plane.
+    """Inequality He(Lambda X') + eta b b' - c c' < 0 of the zeros in the open right half plane.
 
     Attributes:
-        P: L U with its columns over `columns`, shape (a', a).
-        columns: powers of two, shape (a,).
+        P: L U with its columns divided by `columns`, shape (a', a).
+        columns: powers of two that scale the columns, shape (a,).
         Q: Lambda, shape (a', a').
-        b, c: shapes (a', r), (a', d).
-        off: radii of the enclosures of P, Q, b and c, of each entry.
+        b: matrix of the disturbances, shape (a', r).
+        c: matrix of the outputs, shape (a', d).
+        off: bounds on the error of each entry of P, Q, b and c.
     """
 
     P: Array
@@ -78,26 +80,27 @@ class AntistablePart:
     off: tuple[float, float, float, float]
 
     def reduced(self, X: Array) -> Array:
-        """Returns X' of an X of the whole inequality, shape (a', a')."""
+        """Returns X' of this part from an X of the whole inequality, shape (a', a')."""
         P = self.P * self.columns
         return P @ X @ P.T
 
     def whole(self, X: Array) -> Array:
-        """Returns an X of the whole inequality, shape (a, a), whose part is X'."""
+        """Returns an X of the whole inequality, shape (a, a), from X' of this part."""
         back = np.linalg.pinv(self.P) / self.columns[:, None]
         return back @ X @ back.T
 
 
 @dataclass(frozen=True, eq=False)
 class SynthesisInequality:
-    """N' (21) N < 0 as He(Q X U') + eta b b' - c c' < 0, for X in the a coordinates that are not steered without cost.
+    """N' (21) N < 0, written as He(Q X U') + eta b b' - c c' < 0 for X in the a coordinates without directions without cost.
 
     Attributes:
-        J: rows orthogonal to the steered directions, shape (a, n); integers.
-        coordinates: indices of a states, in which J is diagonal.
-        U, Q, b, c: shapes (k, a), (k, a), (k, r), (k, d); integers over `scale`, Q and b also over `unit`.
+        J: matrix of integers whose rows are orthogonal to the directions without cost, shape (a, n).
+        coordinates: indices of a states; the corresponding columns of J form a diagonal matrix.
+        U, Q, b, c: matrices of integers, shapes (k, a), (k, a), (k, r), (k, d). The true matrices are these integers divided by
+            `scale`; Q and b are also divided by `unit`.
         unit, scale: powers of two.
-        N: basis of all q with [B; D]' q = 0 that is orthogonal to the directions without cost, up to a factor: integers, shape
+        N: basis of all q with [B; D]' q = 0 that are orthogonal to the directions without cost, up to a factor; integers, shape
             (n + d, k).
     """
 
@@ -113,7 +116,7 @@ class SynthesisInequality:
 
     @classmethod
     def of(cls, plant: Plant) -> "SynthesisInequality":
-        """Returns the inequality of state feedback, or of the observer if the plant is the transposed one."""
+        """Returns the inequality of state feedback; for the transposed plant, this is the inequality of the observer."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
@@ -133,24 +136,30 @@ class SynthesisInequality:
 
     @cached_property
     def antistable(self) -> AntistablePart | None:
-        """The part that stable zeros leave to dual solutions; None if there are no such zeros."""
+        """Part of the inequality that remains without the stable zeros; None if there are no stable zeros."""
         return _antistable_part(self)
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
-        """Returns U, Q, b, c in floats, every entry rounded once."""
+        """Returns U, Q, b and c in floats, with every entry rounded once."""
         one, two = Fraction(1, self.scale), Fraction(1, self.scale * self.unit)
         return floats(self.U, one), floats(self.Q, two), floats(self.b, two), floats(self.c, one)
 
 
 def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
-    """Returns J_other J_one', each J the identity in its coordinates, as integers, shape (a_other, a_one), and a denominator."""
+    """Returns J_other J_one' as integers, shape (a_other, a_one), and their denominator.
+
+    Both J are scaled to the identity in their coordinates.
+    """
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)
     return product(other.J, one.J.T) * denominator // np.multiply.outer(rows, columns), denominator
 
 
 def _closure(states: Array, inputs: Array) -> Array:
-    """Returns the smallest space with B v if D v = 0 and, with f, A f + B v if C f + D v = 0: columns, shape (n, f)."""
+    """Returns the directions without cost of a continuous plant, as columns, shape (n, f).
+
+    The columns span the smallest space that contains B v if D v = 0 and, with every f, also A f + B v if C f + D v = 0.
+    """
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -165,7 +174,7 @@ def _closure(states: Array, inputs: Array) -> Array:
 
 
 def _zeroed_states(states: Array, inputs: Array) -> Array:
-    """Returns all f that inputs bring to zero in some samples, z being zero meanwhile: columns, shape (n, f)."""
+    """Returns the states f that inputs can bring to zero within some samples while z is zero, as columns, shape (n, f)."""
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -179,9 +188,9 @@ def _zeroed_states(states: Array, inputs: Array) -> Array:
 
 
 def _hidden_states(plant: Plant, states: Array) -> Array:
-    """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
+    """Returns the states that are unobservable in z without control, as columns, shape (n, h); no column if some states grow.
 
-    A wrong decision here makes the bound weaker, but not false.
+    A wrong decision about growth makes the bound weaker, but not invalid.
     """
     n = len(plant.A)
     if not n or span_all(states[n:], states[:n]):
@@ -202,9 +211,12 @@ def _hidden_states(plant: Plant, states: Array) -> Array:
     return V[:, :0] if grows else V
 
 
-@np.errstate(all="ignore")  # infinities and NaN enclose nothing
+@np.errstate(all="ignore")  # infinities and NaN lead to no enclosure
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
-    """Returns the part of the unstable zeros; None if all zeros are unstable, U is not square, or nothing can be enclosed."""
+    """Returns the part of the inequality that belongs to the unstable zeros.
+
+    The result is None if all zeros are unstable, if U is not square, or if no enclosure is found.
+    """
     try:
         U, Q, b, c = side.floats()
         if not len(U) or len(U) != U.shape[1]:
@@ -237,7 +249,7 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
 
 
 def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, Array, float] | None:
-    """Returns W and N near Q' W = U' W N, and the radius in which a solution lies; None if that is not proved."""
+    """Returns W and N with Q' W near U' W N, and a radius within which an exact solution lies; None if this is not proved."""
     a, k = W.shape
     if not k:
         return W, N, 0.0
@@ -256,7 +268,7 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
     rounding = unit * np.concatenate([below[0].ravel("F"), below[1].ravel("F")])
     size, bend = (1 + unit) * float(np.linalg.norm(R, 2)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative, too, is rounded: in its own entries, and by cancellation in Q - s U and U' W.
+    # The derivative is rounded, too: its entries are rounded, and digits cancel in Q - s U and U' W.
     own, turned = float(np.linalg.norm(W)), float(np.linalg.norm(N))
     shaken = float(np.linalg.norm(derivative)) + k**0.5 * (float(np.linalg.norm(Q)) + bend * (own + turned))
     contraction = float(np.linalg.norm(np.eye(len(R)) - R @ derivative)) + unit * len(R) * size * shaken
@@ -265,7 +277,7 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
 
 
 def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Array, Array]:
-    """Returns the derivative of Q' W - U' W N = 0, basis' W = I, by columns, and the residual."""
+    """Returns the derivative of the equations Q' W - U' W N = 0 and basis' W = I, stacked by columns, and their residual."""
     k = len(N)
     eye = np.eye(k)
     derivative = np.block(
@@ -275,10 +287,10 @@ def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Arr
 
 
 def _unit(a: int) -> float:
-    """Returns a bound on the relative rounding of sums of products of matrices with a rows."""
+    """Returns a bound on the relative rounding error of sums of products of matrices with a rows."""
     return SAFE * (2 * a + 4) * float(np.finfo(float).eps)
 
 
 def scale_near(size: float) -> float:
-    """Returns the power of two next to a size; 1 if the size is 0."""
+    """Returns the power of two that is nearest to a size; 1 if the size is 0."""
     return nearest_power(size) if size > 0 else 1.0

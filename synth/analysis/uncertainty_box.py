@@ -1,11 +1,13 @@
-"""Proofs of stability and of norms for a box of errors, in which every reading and force of a gain has its own factor.
+"""Proofs of stability and of norm bounds for a box of gain errors: each measurement and each force has its own factor.
 
-The acting gain is S_u K S_y with diagonal S_y, S_u. As a function of one factor t, with the others fixed, A, C, Bw and Dw are
-affine in t / (1 - c t), or in t if no measurement contains a force. That quotient is monotone while the algebraic loop through
-the measurements is well-posed: everywhere in the box if its determinant, affine in every factor, has one sign at all corners. For
-a fixed X the largest eigenvalue of LMI (20) is convex in the quotient, as the disturbance appears at most squared. So it is
-largest at a corner: one X that satisfies (20) at all corners of a box proves stability and the bound everywhere in it (quadratic
-stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
+The acting gain is S_u K S_y with diagonal matrices S_y and S_u. Consider one factor t, with the other factors fixed. As a
+function of t, the matrices A, C, Bw and Dw of the loop are affine in t / (1 - c t), or in t if no measurement contains a force.
+This quotient is monotone as long as the algebraic loop through the measurements is well-posed. The algebraic loop is well-posed
+in the whole box if its determinant, which is affine in every factor, has the same sign at all corners.
+
+For a fixed X, the largest eigenvalue of LMI (20) is convex in the quotient, because the disturbance appears at most squared.
+The eigenvalue is therefore largest at a corner. One X that satisfies (20) at all corners proves stability and the bound in the
+whole box (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 """
 
 import itertools
@@ -21,16 +23,16 @@ from synth.analysis.certificate import bound_of
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
 from synth.plant.generalized import Plant
 
-MOST = 12  # uncertain factors of a box, which has 4096 corners then
-REGULAR = 1e-6  # relative to the largest: smallest determinant of a well-posed loop through the measurements
+MOST = 12  # largest number of uncertain factors; a box then has 4096 corners
+REGULAR = 1e-6  # smallest determinant of a well-posed loop through the measurements, relative to the largest determinant
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Intervals of the factors of q readings, followed by those of m forces.
+    """Intervals of the factors of q measurements, followed by those of m forces.
 
     Attributes:
-        low, high: the ends of the intervals, shapes (q + m,).
+        low, high: lower and upper ends of the intervals, shapes (q + m,).
     """
 
     low: Array
@@ -38,7 +40,7 @@ class Box:
 
     @cached_property
     def uncertain(self) -> Array:
-        """Indices of the uncertain factors, shape (k,)."""
+        """Indices of the k uncertain factors, shape (k,)."""
         return np.flatnonzero(self.high > self.low)
 
     @property
@@ -48,7 +50,7 @@ class Box:
 
     @property
     def vertices(self) -> Array:
-        """Vertices of the box, shape (2^k, q + m)."""
+        """Corners of the box, shape (2^k, q + m)."""
         k = len(self.uncertain)
         ends = np.array(list(itertools.product((False, True), repeat=k)), dtype=bool).reshape(2**k, k)
         corners = np.tile(self.low, (len(ends), 1))
@@ -56,7 +58,7 @@ class Box:
         return corners
 
     def bisect(self, axis: int) -> "tuple[Box, Box]":
-        """Returns the two boxes on either side of the middle of one factor."""
+        """Returns the two halves of the box, split at the middle of the interval with the index `axis`."""
         high, low = self.high.copy(), self.low.copy()
         high[axis] = low[axis] = self.middle[axis]
         return Box(self.low, high), Box(low, self.high)
@@ -64,13 +66,14 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class ScaledGain:
-    """Loops under the gains S_u K S_y.
+    """Closed loops with the gains S_u K S_y, for different factors of the measurements and forces.
 
     Attributes:
         plant: plant in continuous time with n states, m inputs, d controlled outputs, r disturbances and q measurements.
-        K: shape (m, q).
-        before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.mapped`.
-        readings, forces: number of leading columns and rows of K that are readings and forces; a law's own states follow.
+        K: nominal gain, shape (m, q).
+        before: gain K0 that is subtracted from every gain, shape (m, q); see `plant.discrete.mapped`.
+        readings, forces: numbers of leading columns of K for measurements, and of leading rows for forces. The remaining
+            columns and rows belong to the states of the control law.
     """
 
     plant: Plant
@@ -89,16 +92,16 @@ class ScaledGain:
         return np.eye(len(self.K)) - K @ self.plant.Dyu
 
     def acting(self, factors: Array) -> Array:
-        """Returns the gains that act on C_y x + Dyw w, shape (..., m, q).
+        """Returns the gains that act on C_y x + Dyw w, shape (..., m, q), for factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: a loop through the measurements is not well-posed.
+            LinAlgError: an algebraic loop through the measurements is not well-posed.
         """
         K = self.scaled(factors)
         return np.linalg.solve(self.return_difference(K), K) if np.any(self.plant.Dyu) else K
 
     def well_posed(self, box: Box) -> bool:
-        """Returns True if every loop through the measurements is well-posed."""
+        """Returns True if the algebraic loop through the measurements is well-posed in the whole box."""
         if not np.any(self.plant.Dyu):
             return True
         determinants = np.linalg.det(self.return_difference(self.scaled(box.vertices)))
@@ -106,32 +109,32 @@ class ScaledGain:
 
     @cached_property
     def _parts(self) -> tuple[Array, Array, Array]:
-        """[A Bw; C Dw] of the plant, [B; D], and [C_y Dyw]."""
+        """Matrices [A Bw; C Dw], [B; D] and [C_y Dyw] of the plant."""
         plant = self.plant
         system = np.block([[plant.A, plant.Bw], [plant.C, plant.Dw]])
         return system, np.vstack([plant.B, plant.D]), np.hstack([plant.Cy, plant.Dyw])
 
     def loops(self, factors: Array) -> Array:
-        """Returns [A Bw; C Dw] of the loops under factors of shape (..., q + m), shape (..., n + d, n + r).
+        """Returns [A Bw; C Dw] of the closed loops for factors of shape (..., q + m), shape (..., n + d, n + r).
 
         Raises:
-            LinAlgError: a loop through the measurements is not well-posed.
+            LinAlgError: an algebraic loop through the measurements is not well-posed.
         """
         system, inputs, outputs = self._parts
         return system + inputs @ (self.acting(factors) @ outputs)
 
     def loop(self, factors: Array) -> Plant:
-        """Returns the loop under factors of shape (q + m,) as a plant from w to z; see `loops`."""
+        """Returns the closed loop for factors of shape (q + m,), as a plant from w to z; see `loops`."""
         n, M = len(self.plant.A), self.loops(factors)
         return Plant.without_inputs(M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:])
 
     def stable(self, factors: Array) -> bool:
-        """Returns True if all loops under factors of shape (..., q + m) are stable by their computed poles."""
+        """Returns True if the computed poles of all closed loops are stable, for factors of shape (..., q + m)."""
         n = len(self.plant.A)
         return bool(np.all(np.linalg.eigvals(self.loops(factors)[..., :n, :n]).real < 0))
 
     def sizes(self, factors: Array) -> Array:
-        """Returns `loops` with every term replaced by its magnitude, to which the rounding is proportional."""
+        """Returns `loops` with every term replaced by its absolute value. Rounding errors are proportional to this sum."""
         scaled = np.abs(self.scaled(factors)) + 2 * np.abs(self.before)
         if np.any(self.plant.Dyu):
             size = np.abs(np.linalg.inv(self.return_difference(self.scaled(factors))))
@@ -141,7 +144,7 @@ class ScaledGain:
 
 
 def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """Returns the left side of (20) of loops [A Bw; C Dw], shape (..., n + d, n + d), with `identity` instead of its -1."""
+    """Returns the left side of (20) for loops [A Bw; C Dw], shape (..., n + d, n + d). `identity` replaces the -1 in (20)."""
     n = len(X)
     left, W = loops[..., :n] @ X, loops[..., n:]
     F = eta * W @ W.swapaxes(-1, -2)
@@ -153,11 +156,11 @@ def lmi(loops: Array, X: Array, eta: float, identity: float = -1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BoxProof:
-    """The proof of a bound on a box: the box in parts, and an X of (20) for each.
+    """Proof of a bound for a box: the box is split into parts, and each part has an X that satisfies (20).
 
     Attributes:
         eta: gamma^-2.
-        parts: boxes that fill the whole box, each with its X.
+        parts: boxes that together fill the whole box, each with its X of shape (n, n).
     """
 
     kind: ClassVar[str] = "common X, exact"
@@ -167,20 +170,21 @@ class BoxProof:
 
     @property
     def bound(self) -> float:
-        """eta^-1/2, rounded upwards."""
+        """Proved bound gamma = eta^-1/2, rounded up."""
         return bound_of(self.eta)
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Returns True if the parts prove the bound for all gains of a box."""
+        """Returns True if the parts prove the bound for all gains in the box."""
         return _fill([part for part, _ in self.parts], box) and all(proves(gain, part, X, self.eta) for part, X in self.parts)
 
 
 def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
-    """Returns True if X satisfies (20) at every corner of a box, beyond rounding.
+    """Returns True if X satisfies (20) at every corner of a box, despite rounding.
 
     Args:
+        gain: closed loops as a function of the factors.
         box: box with at most `MOST` uncertain factors.
-        X: shape (n, n), exactly symmetric.
+        X: exactly symmetric matrix, shape (n, n).
         eta: gamma^-2.
     """
     if len(box.uncertain) > MOST or not gain.well_posed(box) or not definiteness(X).proved:
@@ -193,7 +197,10 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
 
 
 def _fill(parts: Sequence[Box], box: Box) -> bool:
-    """Returns True if boxes from repeated bisection fill the box: one contains it, or they fill both halves of a factor."""
+    """Returns True if boxes from repeated bisection fill a box.
+
+    This is the case if one of them contains the box, or if they fill both halves of the box along some factor.
+    """
     if any(np.all(part.low <= box.low) and np.all(part.high >= box.high) for part in parts):
         return True
     for axis in box.uncertain:

@@ -1,1 +1,1 @@
-"""The command `python -m synth`: its options, tables, pictures and files."""
+"""Command `python -m synth`: its options, tables, figures and files."""

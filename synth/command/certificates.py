@@ -1,4 +1,4 @@
-"""`python -m synth --certificates DIR`: LMI certificates in a folder, with the programs that check them."""
+"""`python -m synth --certificates DIR`: writes LMI certificates to a folder, with the programs that check them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ OPTION = "certificates"
 
 
 def write_certificates(folder: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Writes the certificates of controllers to a folder; returns the names of the files.
+    """Writes the certificates of controllers to a folder. Returns the names of the files.
 
     Raises:
         InputError: no controller measures anything, or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""`python -m synth --check` and `--prove`: gains and laws of a vehicle file compared with their claims, or given a bound."""
+"""`python -m synth --check` and `--prove`: check the claims of given gains and laws, or prove bounds for them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,10 +19,14 @@ from synth.vehicle.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
-    """Returns a row for every gain or law of the vehicle file, or for the requested ones.
+    """Checks the gains and laws of the vehicle file, or the requested ones. Returns one row for each.
+
+    Args:
+        designer: designer of the vehicle.
+        names: names of the requested controllers; None for all that have a gain or a law.
 
     Raises:
-        InputError: a name is unknown or has no gain or law, the file has none, or a certificate is malformed.
+        InputError: a name is unknown or has no gain or law, the file contains none, or a certificate is malformed.
     """
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]
@@ -63,7 +67,10 @@ UNPROVED_BOUND = "no bound is proved, because rounding leaves no X that satisfie
 
 
 def prove_controller(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
-    """Returns a controller with a bound just above its norm, and a note; unchanged if it has a bound, or no loop to prove."""
+    """Returns a controller with a proved bound just above its norm, and notes.
+
+    The controller is unchanged if it has a bound already, or if its loop has no finite norm.
+    """
     certificate = controller.certificate
     if certificate.bound is not None or not np.isfinite(certificate.norm.value) or not controller.measured:
         return controller, ()

@@ -1,6 +1,7 @@
-"""A cross-check of (22) and (25) by a second solver, Clarabel. Designs come from the central path (`lmi/central_path.py`).
+"""Cross-check of the designs from problems (22) and (25) with a second solver, Clarabel.
 
-Many gains attain the optimum, so two solvers agree in gamma but not in the gain. A second problem therefore has our gain fixed.
+The designs themselves come from the central path (`lmi/central_path.py`). Many gains attain the optimum. Two solvers therefore
+agree in gamma, but not in the gain. A second problem, in which the designed gain is fixed, checks the gain.
 """
 
 from dataclasses import asdict, dataclass
@@ -18,20 +19,21 @@ from synth.plant.numerics import DesignError
 from synth.plant.units import own_units, reachable, size
 from synth.vehicle.designer import Designer
 
-TOLERANCE = 1e-5  # relative in gamma: Clarabel stops at 1e-8 in eta against entries of X that may be a thousand times as large
+# Relative in gamma. Clarabel stops at a tolerance of 1e-8 in eta, relative to entries of X that may be a thousand times larger.
+TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """The comparison of a design with Clarabel's solution.
+    """Comparison of a design with the solution of Clarabel.
 
     Attributes:
-        problem: "(22)" or "(25)".
-        ours: the optimal gamma by the central path.
-        optimum_gap: relative distance of our gain from that optimum.
-        theirs: the optimal gamma by Clarabel; None if it failed.
-        attained: level that is attained with our gain fixed; None if that solution failed.
-        said: the solver's status if it did not solve both problems, or empty.
+        problem: number of the problem, "(22)" or "(25)".
+        ours: optimal gamma from the central path.
+        optimum_gap: relative distance of the designed gain's gamma from this optimum.
+        theirs: optimal gamma from Clarabel; None if Clarabel failed.
+        attained: gamma from Clarabel with the designed gain fixed; None if Clarabel failed.
+        said: text with the solver's status if it did not solve both problems; else empty.
     """
 
     problem: str
@@ -43,22 +45,22 @@ class CrossCheck:
 
     @property
     def apart(self) -> float | None:
-        """Relative excess of their optimum over ours."""
+        """Relative excess of Clarabel's optimum over ours."""
         return self.theirs / self.ours - 1 if self.theirs is not None else None
 
     @property
     def above(self) -> float | None:
-        """Relative excess of our gain's gamma over their optimum."""
+        """Relative excess of gamma with the designed gain over Clarabel's optimum."""
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
 
     @property
     def record(self) -> dict[str, Any]:
-        """The comparison as JSON."""
+        """Comparison as JSON."""
         return {**asdict(self), "apart": self.apart, "above": self.above}
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The disagreements, in words."""
+        """Texts of the disagreements."""
         failed, theirs = [], f"Clarabel's optimal gamma of problem {self.problem}, {BOUND.digits(self.theirs)}"
         if self.apart is not None and abs(self.apart) > TOLERANCE:
             failed.append(f"{theirs}, differs from the optimal gamma of this design, {BOUND.digits(self.ours)}")
@@ -68,7 +70,7 @@ class CrossCheck:
 
     @property
     def text(self) -> str:
-        """The result in words."""
+        """Text of the result."""
         if self.theirs is None:
             return f"no cross-check: {self.said}"
         text = f"Clarabel's gamma for {self.problem} is {BOUND.digits(self.theirs)}, {SHARE.digits(self.apart)} from this design"
@@ -80,11 +82,12 @@ SHARE = Field[CrossCheck]("difference", lambda one: one.apart, ".0e")
 
 
 def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:
-    """Clarabel's answer to the problem that a controller comes from, or None for one that comes from none.
+    """Solves the problem of a designed controller with Clarabel. Returns None if the design did not solve (22) or (25).
 
     Args:
-        controller: controller as designed, not refined.
-        zero_l: True for a problem with L = 0.
+        designer: designer of the vehicle.
+        controller: controller as designed, before refinement.
+        zero_l: True if the design used L = 0.
     """
     bound, steps = controller.certificate.bound, controller.steps
     shared = designer.shared(controller.hardware)
@@ -93,7 +96,8 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         steps is None
         or controller.fallback_method
         or controller.law.states
-        or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
+        # With filters, the rates in (25) differ too much for Clarabel, whose answers are then inaccurate
+        or shared.plant.weights
         or controller.specifications
         or bound is None
         or (problem.best is not None and problem.best_case in controller.degeneracy)
@@ -112,7 +116,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         start = min(path, key=lambda point: abs(point.gamma / path[-1].gamma - 1 - steps.state_step_gap))
         X = start.X / np.outer(units.states, units.states)
         R = r_matrix(rows, Q, np.zeros((Q.shape[1], len(rows))) if zero_l else l_matrix(X, rows, Q))
-    # In the coordinates of (12) and in units in which all numbers have size one: else Clarabel gives up on a full car.
+    # Uses the coordinates of (12), and units in which all numbers are near 1. Otherwise, Clarabel fails for a full car.
     a, T = Q.shape[1], np.hstack([Q, R])
     plant = units.into(problem.plant).in_coordinates(T)
     scaling = reachable(plant, a)

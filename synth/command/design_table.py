@@ -1,4 +1,4 @@
-"""The design table of a vehicle file: every controller designed or checked, how good it is, and what no controller changes."""
+"""Design table of a vehicle file: designed or checked controllers, their performance, and limits that no controller changes."""
 
 import math
 from argparse import Namespace
@@ -29,27 +29,28 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import METHOD, ROAD_CLASS, SPEED, expected_ride, no_line
 
-FREE = "limits for every controller"  # the stage after the designs: a limit for all, and gains that may be others
+FREE = "limits for every controller"  # stage after the designs: the limit for all controllers, and gains that are not unique
 MORE = "-v explains the columns and prints poles, proofs, notes, laws, and gains that are not unique."
-ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer replaces gains and rides
-FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
-WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
+# Options that replace gains and rides in the output
+ANSWER_OPTIONS = frozenset(("cross_check", "fragility", "prove", "refine"))
+FLAT = 1e-4  # relative increase of gamma for which the possible changes of the gains are printed
+WORSE = 1.005  # ratio to the passive suspension above which a ride counts as worse; a smaller one is hidden by rounding
 RIDE = Field[Row]("expected ride", lambda row: row.ride, ".3g", key="expected_ride", unit="m/s2")
 CHANGE = Field[float]("change", lambda ratio: ratio - 1, "+.0f", 100, unit="%")
 
 
 @dataclass(frozen=True, eq=False)
 class Designs:
-    """Controllers of a vehicle file, designed or checked, and what no controller changes.
+    """Designed or checked controllers of a vehicle file, and limits for all controllers.
 
     Attributes:
-        vehicle: the vehicle.
+        vehicle: vehicle of the controllers.
         rows: controllers, one row each.
-        limit: bound that no control force lowers.
-        plant: generalized plant of that bound.
-        flat: gains that may move at little cost, see `_flatness`.
-        passive: expected ride of the passive suspension [m/s2], or None.
-        expected_rides: expected ride by point and controller, of a vehicle with a person; those with a person first.
+        limit: lower bound that no control force changes.
+        plant: generalized plant of this bound.
+        flat: possible changes of the state-feedback gains; see `_flatness`.
+        passive: expected ride of the passive suspension [m/s2]; None if it has none.
+        expected_rides: expected ride [m/s2] by point and by controller, for a vehicle with persons; points with a person first.
         without: norm without control; infinite if the vehicle is not damped.
     """
 
@@ -67,10 +68,12 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     """Runs the command: designs, checks, saves and prints controllers. Returns the exit code.
 
     Args:
-        names: names of the requested controllers; empty for `--check`, which chooses its own.
+        vehicle: vehicle whose file defines the controllers.
+        names: names of the requested controllers; empty for `--check`, which chooses the controllers itself.
+        options: parsed options.
 
     Raises:
-        InputError: options that do not apply to this vehicle, or files that cannot be written.
+        InputError: an option does not apply to this vehicle, or a file cannot be written.
     """
     check_outputs(
         {"picture": options.picture, "save": options.save, "certificates": options.certificates}, vehicle.files, options.json
@@ -97,7 +100,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 
 def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> Designs:
-    """Designs or checks the controllers, with everything that the options request."""
+    """Designs or checks the controllers, and computes everything that the options request."""
     stages = ["saved claims"] if options.check else [f"controller {name}" for name in names]
     designer, stage = Designer(vehicle), Stages(*stages, FREE)
     if options.check:
@@ -123,11 +126,14 @@ def designs_of(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> De
 
 
 def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages, alone: bool) -> Row:
-    """Returns the row of a designed controller, with its norm as implemented; or of the failure, if there are others."""
+    """Returns the row of a designed controller with its sampled-data norm.
+
+    If the design fails and other controllers are requested, the row contains the failure.
+    """
     stage(f"controller {name}")
     try:
         row = _row(designer, name, options, stage)
-    except InputError as error:  # of one section, which hides no other
+    except InputError as error:  # an error in one section must not hide the other controllers
         if alone:
             raise
         row = Row(name, None, (), (str(error),))
@@ -141,7 +147,7 @@ def _design_row(designer: Designer, name: str, options: Namespace, stage: Stages
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
-    """Returns the row of a designed controller, or of the failure."""
+    """Returns the row of a designed controller, or of a failed design."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
@@ -156,7 +162,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         from synth.command.check import prove_controller
 
         controller, said = prove_controller(designer, controller)
-    # The vehicle without control need not be damped.
+    # A vehicle without control may be undamped; this is not a failure.
     excused = controller.certificate.stability.words if lacks_damping(controller) else ""
     failures = tuple(each for each in controller.failures if each != excused)
     if options.cross_check:
@@ -169,7 +175,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
-    """Returns the row of a refined controller and its trade-off, or of the unrefined one if refining fails."""
+    """Returns the row of a refined controller with its trade-off; if refinement fails, the row of the unrefined controller."""
     try:
         refined = designer.refine(name, zero_l)
     except DesignError as error:
@@ -185,7 +191,7 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 
 
 def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
-    """Returns a row with the expected ride, the margins of the law, and the tolerated errors if requested."""
+    """Adds the expected ride, the margins of the law and, if requested, the tolerated gain errors to a row."""
     controller = row.controller
     if controller is None:
         return row
@@ -197,10 +203,13 @@ def _finish_row(vehicle: Vehicle, row: Row, fragility: bool) -> Row:
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
-    """Returns, by state, the largest gain on it and how far that gain may fall and rise for FLAT of gamma; None for any distance.
+    """Returns the possible changes of the state-feedback gains for an increase of gamma by FLAT.
 
-    The gain is the state feedback of the table if it has one, or the designed one, which need not be the end of its path. Nothing
-    is said of one with an integral, which is more than a gain.
+    The gain is that of the state feedback in the table, if the table has one; otherwise it is designed. This gain need not be
+    the end of its central path. The result is empty for a vehicle with integrals, whose state feedback is more than a gain.
+
+    Returns:
+        For each state: the largest gain on it, and how far this gain may fall and rise; None for an unlimited change.
     """
     if designer.vehicle.integrals:
         return {}
@@ -214,12 +223,12 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     return {
         state: [float(value) if np.isfinite(value) else None for value in values]
         for state, values in zip(states, moves.T, strict=True)
-        if values[1:].any()  # a gain that may not move at all is not flat
+        if values[1:].any()  # False for a gain that may not change at all
     }
 
 
 def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> None:
-    """Checks that the gains that this command designs can be saved; only such gains are."""
+    """Checks that the gains that this command designs can be saved. Only designed gains are saved."""
     from synth.command.save import check_save
 
     entries = vehicle.controllers
@@ -228,7 +237,7 @@ def _check_save(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> N
 
 
 def _draw_responses(designs: Designs, path: Path) -> Path | None:
-    """Draws the responses of all stable loops. Returns the path, or None without a stable loop."""
+    """Draws the frequency responses of all stable loops. Returns the path, or None if no loop is stable."""
     from models.document.picture import write_picture
     from synth.command.responses import responses_figure
 
@@ -239,7 +248,7 @@ def _draw_responses(designs: Designs, path: Path) -> Path | None:
 
 
 def _expected_ride(designs: Designs) -> dict[str, Any]:
-    """Returns the conditions of the expected ride for JSON, and that of the passive vehicle."""
+    """Returns the conditions of the expected ride, and the expected ride of the passive vehicle, for JSON."""
     ride: dict[str, Any] = {"road_class": ROAD_CLASS, "speed": SPEED, "unit": RIDE.unit, "passive": designs.passive}
     ride |= {"method": METHOD, "without": _without_ride(designs)} if designs.vehicle.parts.nonlinear else {}
     return ride | ({"points": designs.expected_rides} if designs.expected_rides else {})
@@ -255,7 +264,7 @@ RECORD = Record[Designs](
 
 
 def answer_lines(designs: Designs, options: Namespace, outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the lines of the answer: on a screen, or in full with `-v`."""
+    """Returns the lines of the answer: short, or in full with `-v`."""
     vehicle, full = designs.vehicle, options.verbose
     files = written_lines(outputs)
     if outputs["saved"]:
@@ -297,7 +306,7 @@ def document(designs: Designs, options: Namespace) -> Document:
 
 
 def _worse(designs: Designs) -> tuple[Statement, ...]:
-    """Returns a warning of designs for a small norm that have a larger one than the vehicle without control."""
+    """Returns a warning about designs for a small norm whose norm is larger than that without control."""
     entries, norms = designs.vehicle.controllers, dict[str, float]()
     for row in designs.rows:
         entry, certificate = entries.get(row.name), row.certificate
@@ -309,16 +318,16 @@ def _worse(designs: Designs) -> tuple[Statement, ...]:
 
 
 def _rides(designs: Designs) -> list[Statement]:
-    """Returns the expected ride of every controller, at each point of a vehicle with a person; see `_rides_at`."""
+    """Returns texts with the expected ride of every controller, at each point of a vehicle with persons; see `_rides_at`."""
     rides = {"passive": designs.passive, **{row.name: row.ride for row in designs.rows}}
-    without = [f"There is no expected ride of {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
+    without = [f"There is no expected ride for {as_name(name)}: {why}." for name, why in _without_ride(designs).items()]
     return [one for at, known in (designs.expected_rides or {"": rides}).items() for one in _rides_at(designs, at, known)] + [
         *notes(*without)
     ]
 
 
 def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> tuple[Statement, ...]:
-    """Returns the expected ride of every controller at a point, and those that ride worse than the passive suspension."""
+    """Returns texts with the expected ride of every controller at a point, and those with a worse ride than passive."""
     rides, passive = {name: ride for name, ride in known.items() if ride is not None}, known["passive"]
     if not rides.keys() & {row.name for row in designs.rows}:
         return ()
@@ -336,20 +345,20 @@ def _rides_at(designs: Designs, at: str, known: Mapping[str, float | None]) -> t
 
 
 def _without_ride(designs: Designs) -> dict[str, str]:
-    """Returns the stable controllers without an expected ride, each with the reason."""
+    """Returns the names of the stable controllers without an expected ride, each with the reason."""
     some = {row.name: row.controller for row in designs.rows if row.controller is not None and row.ride is None}
     return {name: why for name, controller in some.items() if (why := no_line(designs.vehicle, controller))}
 
 
 def _refine_command(rows: Sequence[Row], options: Namespace) -> list[str]:
-    """Returns the command, after an empty line, that lowers these norms; empty if there are none."""
+    """Returns lines with an empty line and the command that lowers these norms; empty if `--refine` lowers none."""
     named = [f"--controller={row.name}" for row in rows if row.worth and not options.given & ANSWER_OPTIONS]
     words = [shell_line([word]) for word in (f"--vehicle={options.vehicle}", *named, "--refine")]
     return ["", "To refine:", *command(["python -m synth", *words])] if named else []
 
 
 def _at_least(share: float) -> str:
-    """Returns a share in percent, cut after two digits."""
+    """Returns a fraction in percent, rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(share)) - 1)
     return percent(math.floor(share / unit) * unit)
 
@@ -364,7 +373,7 @@ MOVES: tuple[Field[Move], ...] = (
 
 
 def _flat(designs: Designs) -> list[Statement | Table]:
-    """Returns the gains that are not unique."""
+    """Returns a table of the gains that are not unique."""
     if not designs.flat:
         return []
     of = "gamma of the ideal loop" if designs.vehicle.sampled else "gamma"
@@ -373,7 +382,7 @@ def _flat(designs: Designs) -> list[Statement | Table]:
 
 
 def verdict(rows: Sequence[Row]) -> Statement:
-    """Returns the verdict: the controllers with claims that fail, and those that are unstable as implemented."""
+    """Returns the verdict: controllers with claims that fail, and controllers whose sampled-data loop is unstable."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     text = f"every claim holds for {len(rows)} controller{'s' * (len(rows) != 1)}"
     text = f"not every claim holds: {', '.join(wrong)}" if wrong else text

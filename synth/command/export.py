@@ -1,4 +1,4 @@
-"""`python -m synth --export` and `--check DIR`: controllers as a folder of C99, an FMU or a file for MATLAB, and their check."""
+"""`python -m synth --export` and `--check DIR`: write controllers as C99 code, an FMU or a MATLAB file, and check them."""
 
 import math
 import subprocess
@@ -27,14 +27,14 @@ from synth.controller.report import NORM, STUDY
 from synth.vehicle.designer import Designer, driver_of
 from synth.vehicle.lmi_certificates import certificate_texts
 
-RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
+RANGES = (1e-9, 1e9)  # limits of the largest magnitude of a measurement, in its SI unit
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
-    """Writes the folder or the file of --export, and prints what is in it; returns the exit code.
+    """Writes the folder or the file of --export, and prints its contents. Returns the exit code.
 
     Raises:
-        InputError: a controller is unknown or cannot be exported so, or the folder or file cannot be written.
+        InputError: a controller is unknown or cannot be exported in this form, or the folder or file cannot be written.
     """
     record, lines = {".mat": _mat, ".fmu": _fmu}.get(options.export.suffix.lower(), _folder)(vehicle, options)
     names = [name for name in vehicle.controllers if vehicle.controllers[name].study]
@@ -47,7 +47,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) -> tuple[str, Vehicle, str]:
-    """Returns the controller of --controller, the vehicle whose file holds its law, and its name in that file."""
+    """Returns the requested controller, the vehicle whose file contains its law, and its name in this file."""
     names, given = [name for name in names if name != "passive"], options.controller or []
     if len(given) > 1:
         raise InputError(f"{what}; give --controller with one of: {', '.join(names)}")
@@ -56,7 +56,7 @@ def _one(vehicle: Vehicle, options: Namespace, names: Sequence[str], what: str) 
 
 
 def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> tuple[Vehicle, ExportedLaw, dict[str, str]]:
-    """Returns the vehicle of the saved controller, its law, and the texts of its folder."""
+    """Returns the vehicle of the saved controller, its exported law, and the texts of its folder."""
     name, saved, own = _one(vehicle, options, vehicle.controller_names, "--export writes one controller")
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix(c_name(name)), _ranges(options.ranges))
@@ -65,7 +65,7 @@ def _law(vehicle: Vehicle, options: Namespace, prefix: Callable[[str], str]) -> 
 
 
 def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes the folder of one controller; returns what is in it for JSON, and in lines."""
+    """Writes the folder of one controller. Returns its contents for JSON, and as lines of text."""
     folder: Path = options.export
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--export {folder} exists and is not empty; give another folder, or remove it")
@@ -98,7 +98,7 @@ def _folder(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[
 
 
 def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes a file for MATLAB, and a script beside it."""
+    """Writes a MATLAB file, a script next to it, and LMI certificates."""
     from synth.controller.export.matlab import mat_file, script, struct_names
 
     if "numbers" in options.given:
@@ -142,7 +142,7 @@ def _mat(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
 
 
 def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str]]:
-    """Writes an FMU: a controller, the vehicle, or both as one linear system."""
+    """Writes an FMU that contains a controller, the vehicle, or both as one linear system."""
     from synth.controller.export.fmu import fmu
 
     if options.part != "controller" and "numbers" in options.given:
@@ -171,11 +171,11 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> tuple[dict[str, Any], list[str
     ]
 
 
-FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources, and documentation
+FmuContent = tuple[FmuModel, Mapping[str, str], str]  # model, resources (texts by file name), and documentation
 
 
 def _controller(vehicle: Vehicle, options: Namespace) -> FmuContent:
-    """Returns a controller as the content of an FMU, with the exported folder as its resources."""
+    """Returns a controller as the content of an FMU. The files of the exported folder are its resources."""
     if options.numbers not in ("double", "float"):
         raise InputError(f"an FMU cannot have {options.numbers} numbers: its variables are floating point; give double or float")
     saved, law, texts = _law(vehicle, options, lambda plain: plain if plain.startswith("law_") else f"law_{plain}")
@@ -216,7 +216,7 @@ def _about(model: FmuModel) -> str:
 
 
 def _saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
-    """Returns the vehicle whose file holds the controller's law, and the controller's name in it."""
+    """Returns the vehicle whose file contains the law of a controller, and the name of the controller in this file."""
     entry = vehicle.controllers.get(name)
     if vehicle.with_actuators_of(name) is not vehicle:
         raise InputError(
@@ -258,10 +258,10 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
 
 
 def check_folder(folder: Path, options: Namespace) -> int:
-    """Prints which files of an exported folder were changed, and whether its controller's certificate holds.
+    """Checks an exported folder and prints which files were changed, and whether the claims of its certificate hold.
 
     Returns:
-        0 if nothing is changed, every claim holds, and the code gives the outputs of the test vectors; else 1.
+        Exit code: 0 if no file was changed, every claim holds, and the code computes the outputs of the test vectors; else 1.
 
     Raises:
         InputError: the folder is not an exported controller.
@@ -293,7 +293,10 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
-    """Returns what the compiled code says of the test vectors, or that there is no compiler; and False if it is wrong."""
+    """Runs the compiled code on the test vectors. Returns a text with the result, and False if the result is wrong.
+
+    Without a compiler, the code is not run, which does not count as wrong.
+    """
     try:
         command = compiler()
     except InputError:

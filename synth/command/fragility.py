@@ -1,4 +1,4 @@
-"""`python -m synth --fragility`: the errors of measurements and forces that a controller tolerates, and the cost of rounding."""
+"""`python -m synth --fragility`: errors of measurements and forces that a controller tolerates, and the effect of rounding."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from synth.design.uncertainty.problem import scaled_gain
 
 @dataclass(frozen=True, eq=False)
 class FragilityReport:
-    """The fragility of a controller.
+    """Fragility of a controller.
 
     Attributes:
-        fragility: the errors that it tolerates.
-        rounded_certificates: certificates with rounded coefficients, by number format.
-        lines: both in words.
+        fragility: gain errors that the controller tolerates.
+        rounded_certificates: certificates of the controller with rounded coefficients, by number format.
+        lines: lines of text about both.
         record: both as JSON.
     """
 
@@ -33,7 +33,7 @@ class FragilityReport:
 
 
 def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityReport | None:
-    """Computes the fragility of a controller. Returns None without a gain or a stable loop."""
+    """Computes the fragility of a controller. Returns None if the controller has no gain or its loop is unstable."""
     if not controller.law.acts or not controller.certificate.stable:
         return None
     problem, names = controller.problem(vehicle.without_integrals), (controller.measured, vehicle.linear_model.inputs)
@@ -45,7 +45,7 @@ def fragility_report(vehicle: Vehicle, controller: Controller) -> FragilityRepor
 
 
 def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
-    """Returns one controller's fragility in sentences, that of several as a table; empty without any."""
+    """Returns the fragility of one controller as sentences, or that of several controllers as a table."""
     if len(reports) < 2:
         return [*notes(*(line for one in reports.values() for line in one.lines), detail="brief")]
     first = min(reports.values(), key=lambda one: len(one.rounded_certificates))
@@ -71,5 +71,5 @@ def describe(reports: Mapping[str, FragilityReport]) -> list[Block]:
 
 
 def _between(margin: errors.ErrorMargin) -> str:
-    """Returns the errors that are proved to be harmless and those that are found not to be; a dash for none."""
+    """Returns a text of the proved tolerance and the smallest harmful error [%]; a dash replaces a missing value."""
     return ", ".join(cell(100 * value if value else None, ".3g") for value in (margin.proved_margin, margin.smallest_violation))

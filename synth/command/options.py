@@ -1,4 +1,4 @@
-"""The options of `python -m synth`, and which of them go together."""
+"""Options of `python -m synth`, and the rules for combining them."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -7,14 +7,14 @@ from pathlib import Path
 from models.common.command import Parser
 from models.common.errors import InputError
 
-MOST_POINTS = 1000  # that `--point` can name
+MOST_POINTS = 1000  # largest number of a design for `--point`
 AXES_HELP = (
     "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride between "
     "these frequencies [Hz]) and tolerance=10 (the norm of [performance] with measurement errors of 10 %%). Separate axes by "
     "colons. Each value is a norm from road velocity in SI units. A quarter-car takes 5 to 15 s, with tolerance 20 s"
 )
 
-ALONE = {  # what an option does, and the options that it can be combined with
+ALONE = {  # by option: its effect, and the options that it can be combined with
     "check": ("verifies the claims of the given file and designs nothing", ("controller", "picture", "certificates")),
     "rates": ("compares designs at other sample periods", ("controller", "vehicle", "picture")),
     "front": ("designs a trade-off", ("controller", "vehicle", "picture", "csv", "save", "point")),
@@ -49,7 +49,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """Parses and checks the options.
 
     Raises:
-        InputError: bad options, or options that exclude each other.
+        InputError: an option is invalid, or options exclude each other.
     """
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):

@@ -1,4 +1,4 @@
-"""`python -m synth --rates`: what slower computers cost controllers, as a table, a picture and one JSON object."""
+"""`python -m synth --rates`: effect of slower sample rates on controllers, as a table, a figure and JSON."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -18,17 +18,17 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, cost
 from synth.vehicle.sample_rate.report import RECORD, describe, drawn_periods, failures, rates_figure
 
-MOST = 1000  # rates in one table
+MOST = 1000  # largest number of sample periods
 
 
 def periods_of(rates: Sequence[float]) -> list[float]:
-    """Sample periods [s], ascending, of as many in milliseconds.
+    """Converts the sample periods of `--rates` from milliseconds to seconds, in ascending order.
 
     Raises:
-        InputError: a period is beyond its limits or given twice, or there are too many periods.
+        InputError: a period is out of range or given twice, or there are too many periods.
     """
     for rate in rates:
-        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # NaN is within no limits
+        if not 1e3 * SHORTEST <= rate <= 1e3 * LONGEST_PERIOD:  # the condition is also True for NaN
             raise InputError(
                 f"--rates {rate:g} ms is not allowed; give sample periods from {1e3 * SHORTEST:g} to {1e3 * LONGEST_PERIOD:g} ms"
             )
@@ -40,10 +40,10 @@ def periods_of(rates: Sequence[float]) -> list[float]:
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Runs the command for these controllers; returns its exit code.
+    """Runs the command for the given controllers. Returns the exit code.
 
     Raises:
-        InputError: a rate that is not allowed, or a picture that cannot be written.
+        InputError: a sample period is not allowed, or the figure cannot be written.
     """
     periods, outputs = periods_of(options.rates), {"picture": options.picture}
     check_outputs(outputs, vehicle.files)
@@ -54,7 +54,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         done = stage.counted(f"controller {name}", len(tried), "rates")
         try:
             costs.append(cost(vehicle, designer.design(name), tried, periods, done))
-        except InputError as error:  # of one section, which hides no other
+        except InputError as error:  # an error in one section must not hide the other controllers
             if len(names) == 1 and not isinstance(error, DesignError):
                 raise
             undesigned[name] = str(error)

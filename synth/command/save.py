@@ -1,4 +1,4 @@
-"""Saves designs as controllers of a vehicle file, each with its gain and certificate."""
+"""Saving of designs as controllers of a vehicle file, each with its law and certificate."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,10 +17,15 @@ from synth.vehicle.certified_vehicle import vehicle_record
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Checks before the design that controllers of these names can be added.
+    """Checks before the design that controllers with these names can be added to a vehicle file.
+
+    Args:
+        path: path of the vehicle file to be written.
+        vehicle: vehicle of the controllers.
+        names: names of the designed controllers, without the suffix.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, or the file could not be read at its place.
+        InputError: there is nothing to write, a name is already used, or a vehicle file at `path` could not be read.
     """
     if not names:
         raise InputError("--save has nothing to write: no controller is designed; choose one without a gain in the vehicle file")
@@ -36,15 +41,19 @@ def save(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> None:
-    """Writes the vehicle file with each designed gain added as NAME_designed, for every other command to read.
+    """Writes the vehicle file with each designed law added as NAME_designed. All other commands can read this file.
 
-    Controllers with a preview are left out if there is another.
+    Controllers with a preview are omitted if there are other controllers.
 
     Args:
-        sampled_bounds: lower bounds of sampled loops, by controller.
+        path: path of the vehicle file to be written.
+        vehicle: vehicle of the controllers.
+        controllers: controllers, of which the designed ones are written.
+        sampled_bounds: lower bounds of sampled-data loops, by name of the controller.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, all controllers have a preview, or the file cannot be written.
+        InputError: there is nothing to write, a name is already used, all controllers have a preview, or the file cannot be
+            written.
     """
     text = saved_text(path, vehicle, controllers, sampled_bounds)
     with whole_file(path, "save") as beside:
@@ -57,7 +66,7 @@ def saved_text(
     controllers: Sequence[Controller],
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> str:
-    """Returns the text that `save` writes. Arguments and errors as for `save`."""
+    """Returns the text that `save` writes. The arguments and errors are those of `save`."""
     given = [controller for controller in controllers if controller.designed and controller.measured]
     designed = [controller for controller in given if controller.preview is None] or given
     for controller in designed:
@@ -68,13 +77,13 @@ def saved_text(
         text = with_sections(
             text, controller_section(vehicle, controller, controller.name + SUFFIX, (sampled_bounds or {}).get(controller.name))
         )
-    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    parse_vehicle(text, folder=path.parent)  # raises an error if the text cannot be read again
     return text
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Returns a line that names controllers with a preview, which are not in a file; none without such controllers."""
-    return [f"  left out: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
+    """Returns a line that lists the controllers with a preview, which the file omits; empty without such controllers."""
+    return [f"  omitted: {list_names(names)}, because this file cannot contain a preview of the road"] if names else []
 
 
 def controller_section(
@@ -83,8 +92,10 @@ def controller_section(
     """Returns the section of a controller with its law and certificate, as lines of a vehicle file.
 
     Args:
+        vehicle: vehicle of the controller.
+        controller: controller to be written.
         name: name of the section.
-        sampled_bound: lower bound of the sampled loop; None without one.
+        sampled_bound: lower bound of the sampled-data loop; None without such a bound.
     """
     own = vehicle.with_actuators_of(controller.name)
     norm, _ = norm_or_failure(own, controller)

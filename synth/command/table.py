@@ -1,4 +1,4 @@
-"""Designs of a vehicle file: rows of the table, their document for the terminal and for a report, and the object for `--json`."""
+"""Rows of the design table of a vehicle file, and their output: a document for the terminal or a report, and JSON."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -56,27 +56,28 @@ if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
     from synth.command.fragility import FragilityReport
 
-GAIN_WIDTH = WIDTH - 20  # columns of a gain in a short answer; a longer one is printed by -v
+GAIN_WIDTH = WIDTH - 20  # largest number of characters of a gain in a short answer; -v prints longer gains
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A row of the design table.
+    """Row of the design table.
 
     Attributes:
         name: name of the controller.
         controller: controller of the row; None if its design failed.
-        notes: notes on the controller.
-        failures: claims that do not hold, or the reason of a failed design.
+        notes: notes about the controller.
+        failures: texts of the claims that do not hold, or the reason of a failed design.
         worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
-        witness: result of a second solver, if requested.
-        sampled: the norm as implemented, if the vehicle file has an implementation.
-        sampled_below: lower bound on that norm for any controller with these measurements, if designed for the sampled loop.
-        fragile: the tolerated errors, if requested.
-        answers: sentences that options requested; the notes contain them, too.
-        ride: expected weighted acceleration on an average road [m/s2], or None.
-        refined: True for a controller that was refined, whose gain is the answer.
-        margins: the stability of its law by itself, and its small margins; None if there is no law.
+        witness: result of the cross-check with a second solver, if requested.
+        sampled: norm of the sampled-data loop, if the vehicle file describes an implementation.
+        sampled_below: lower bound on this norm for any controller with these measurements, if the controller is designed for
+            the sampled-data loop.
+        fragile: tolerated gain errors, if requested.
+        answers: texts that options requested; the notes also contain these texts.
+        ride: expected weighted acceleration on an average road [m/s2]; None if it is not defined.
+        refined: True if the controller was refined, so that its gain is part of the answer.
+        margins: stability of the law itself, and small margins of its loop; None if there is no law.
     """
 
     name: str
@@ -95,31 +96,31 @@ class Row:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Returns the controller's certificate; None if its design failed."""
+        """Certificate of the controller; None if its design failed."""
         return self.controller.certificate if self.controller is not None else None
 
     @property
     def measures(self) -> str:
-        """Returns the names of the measured signals."""
+        """Names of the measured signals as text."""
         return ", ".join(self.controller.measured) or "nothing" if self.controller is not None else ""
 
     @property
     def sampled_gap(self) -> float | None:
-        """Relative distance of the sampled norm from its lower bound; None without either."""
+        """Relative distance of the sampled-data norm from its lower bound; None if one of them is missing."""
         if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
             return None
         return self.sampled.value / self.sampled_below.level - 1
 
 
 def _of_stable_loop(row: Row, field: Field[Certificate]) -> Any:
-    """Returns the value of a field that only a stable loop has; for an unstable one, the verdict in words."""
+    """Returns the value of a field that only a stable loop has; for an unstable loop, the verdict as text."""
     if row.certificate is None:
         return "NOT DESIGNED"
     value = field.value(row.certificate) if row.certificate.stable else row.certificate.stability.verdict.upper()
     return "infinite" if value == math.inf else value
 
 
-CERTIFICATE = attrgetter("certificate")  # of a row
+CERTIFICATE = attrgetter("certificate")  # certificate of a row
 CONTROLLER = Field[Row]("controller", lambda row: row.name)
 MEASURES = Field[Row]("measures", lambda row: row.measures.replace("_", " "), detail="full")
 NORM_OR_VERDICT = Field[Row](NORM.label, lambda row: _of_stable_loop(row, NORM), NORM.form)
@@ -134,10 +135,14 @@ ABOVE_LEVEL = Field[Row]("above that", lambda row: row.sampled_gap, percent)
 
 
 def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Plant, apart: bool = False) -> Document:
-    """Returns the designs as a document: the table, the limit of every design, and notes on the loops that are meant.
+    """Returns the designs as a document: the table, the limit for every design, and notes about the loops.
 
     Args:
-        apart: True to have sampled norms in a table of their own only.
+        vehicle: vehicle of the controllers.
+        rows: controllers, one row each.
+        limit: lower bound that no control force changes.
+        plant: generalized plant of this bound.
+        apart: True to show sampled-data norms only in their own table.
     """
     controllers = [row.controller for row in rows if row.controller is not None]
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
@@ -148,7 +153,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
     held = Field[Row]("certificate", certificate, detail="full")
     others = [field.of(CERTIFICATE) for field in (PEAK, LOWER_BOUND, GAP)]
-    if bounded:  # a terminal has no room for them beside the lower bound of the sampled loop
+    if bounded:  # a terminal has no room for these columns in addition to the lower bound of the sampled-data loop
         others = [replace(field, detail="full") for field in others]
     sampled = [*[BUILT_NORM] * (built and not apart), *[LEVEL, ABOVE_LEVEL] * bounded]
     fields = [CONTROLLER, MEASURES, BOUND.of(CERTIFICATE), NORM_OR_VERDICT, *sampled, *others, POLE_OR_VERDICT, held]
@@ -174,7 +179,7 @@ def describe(vehicle: Vehicle, rows: Sequence[Row], limit: LowerBound, plant: Pl
 
 
 def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns a note on forces without a weight, which nothing keeps small, if a controller is designed."""
+    """Returns a note about forces without a weight, whose size nothing limits, if a controller is designed."""
     given = {"passive", *(name for name, entry in vehicle.controllers.items() if entry.law is not None)}
     free = [force for force in vehicle.linear_model.inputs if not any(force in one.terms for one in vehicle.weighted)]
     text = f"No weight limits {list_names(free)}, so gains can become very large: add {{}} = 1e-4 to [performance], for example."
@@ -182,15 +187,16 @@ def _unlimited_forces(vehicle: Vehicle, controllers: Sequence[Controller]) -> li
 
 
 def limit_text(limit: LowerBound, plant: Plant) -> str:
-    """Returns the bound that no control force lowers, in words; with a mode to be held, for stabilising forces only.
+    """Returns a text about the lower bound that no control force changes.
 
-    At an invariant point z has that norm without control, too.
+    If a mode must be stabilised, the bound holds for stabilising controllers. At an invariant point, z reaches the bound even
+    without control.
     """
     if limit.limit_at is None:
         return "Limit: none. At every frequency, control forces can change the whole response of z to the road."
     lowest, where = f"Limit: no controller has a norm below {LOWER_BOUND.digits(limit.gamma)}", PEAK.text(limit.limit_at)
-    if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
-        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay alone."
+    if is_pole(plant, limit.limit_at):  # forces may change everything except this mode
+        return f"{lowest}, as control must stabilise the mode at {where}, which does not decay by itself."
     free = without_control(plant, limit.limit_at)
     if free <= limit.gamma * (1 + UNCHANGED_NORM):
         return f"{lowest}: no force changes z at {where}."
@@ -205,7 +211,7 @@ EXPLANATION = (
 
 
 def _difference(row: Row) -> str:
-    """Returns the difference of both norms in words; "-" if they are of different signals or infinite."""
+    """Returns a text of the difference between both norms; "-" if they refer to different signals or are infinite."""
     one, norm = row.controller, row.sampled
     if one is None or one.hardware != NOMINAL or not one.certificate.stable or norm is None or not norm.stable:
         return "-"
@@ -223,16 +229,17 @@ NORMS: tuple[Field[Row], ...] = (
 
 
 def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Statement]:
-    """Returns statements on each controller: its gain or first specification, the requested answers, and failures.
+    """Returns texts about each controller: its gain or first specification, requested answers, and failures.
 
     Args:
+        rows: controllers, one row each.
         gains: False to omit gains and specifications, except the gains of refined controllers.
-        checked: True for a statement on what was checked.
+        checked: True to add a text about the result of `--check`.
     """
     own = without_copies(row.name for row in rows)
     shown = [
         row for row in rows if row.controller is not None and (not row.refined or row.name in own)
-    ]  # copies are refined alike
+    ]  # copies of a controller are refined to the same gain
     promised = any(row.controller is not None and row.controller.specifications for row in rows)
     said = []
     for row in shown:
@@ -247,7 +254,7 @@ def answers(rows: Sequence[Row], gains: bool, checked: bool = False) -> list[Sta
 
 
 def _first(row: Row, gains: bool) -> Iterator[str]:
-    """Yields the first specification of a controller, its short designed gain, or the natural frequencies without damping."""
+    """Yields texts: first specification, designed gain if it is short, or natural frequencies of an undamped vehicle."""
     controller = row.controller
     assert controller is not None
     if lacks_damping(controller):
@@ -277,18 +284,21 @@ def _requested_notes(row: Row, checked: bool) -> Iterator[str]:
 
 
 def failures_of(row: Row) -> list[str]:
-    """Returns what fails, the first with a note on the signs of a law if they may be why."""
+    """Returns texts of the failures. The first text has a note about the signs of the gains, if the signs may be the cause."""
     first, *others = [*row.failures] or [""]
     return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
 
 def lacks_damping(controller: Controller) -> bool:
-    """Returns True for a vehicle without control that does not damp some motion: a property of the vehicle, not a failure."""
+    """Returns True for a vehicle without control in which some motion is undamped. This is not a failure of a controller."""
     return not controller.measured and controller.certificate.stability.verdict == MARGINAL
 
 
 def _poles(controller: Controller) -> list[complex]:
-    """Returns the poles of a loop, one of each pair, by natural frequency; those on the axis without their rounding errors."""
+    """Returns the poles of a loop by natural frequency, one of each conjugate pair.
+
+    For poles on the axis, rounding errors in the real part are removed.
+    """
     own = controller.certificate.own
     poles = np.where(own.on_axis, 1j * np.imag(own.poles), own.poles)
     poles = np.where(np.abs(poles) > own.rounding, poles, 0.0)
@@ -311,7 +321,7 @@ INSIDE = "the sampled norm is reached within one sample period: no controller at
 
 
 def details(vehicle: Vehicle, row: Row) -> Document:
-    """Returns all of a controller: its law, poles, specifications, notes and failures."""
+    """Returns all information about a controller: its law, poles, specifications, notes and failures."""
     if row.controller is None:
         return Document(f"controller {row.name}", notes(*(f"NOT DESIGNED: {failure}" for failure in row.failures), detail="full"))
     controller, certificate = row.controller, row.controller.certificate
@@ -332,13 +342,13 @@ def details(vehicle: Vehicle, row: Row) -> Document:
 
 
 def proofs(rows: Sequence[Row]) -> Table:
-    """Returns the table of proofs: how far the two routes to the norm differ, and by how much the inequalities hold."""
+    """Returns the table of proofs: the difference between the two norms, and the margins of the proved inequalities."""
     caption = "How far the two computations of the norm differ, and the smallest eigenvalue proved of each inequality, balanced."
     return Table.of("proofs", caption, PROOFS, [row for row in rows if row.controller is not None], detail="full")
 
 
 def _proved_eigenvalue(row: Row, part: Callable[[LmiProof], Definiteness]) -> float | None:
-    """Returns the smallest eigenvalue of an inequality, absent if it is not proved."""
+    """Returns the smallest eigenvalue of an inequality; None if the inequality is not proved."""
     proof = row.certificate.proof if row.certificate is not None else None
     return part(proof).smallest if proof is not None and part(proof).proved else None
 
@@ -352,19 +362,19 @@ PROOFS: tuple[Field[Row], ...] = (
 
 
 def _hardware(controller: Controller) -> dict[str, Any]:
-    """Returns noise, loads and lag of a norm for JSON; empty without any."""
+    """Returns the noise, the loads and the lag that a norm includes, for JSON; empty if it includes none."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
     return noise | ({"actuator_bandwidth": hardware.bandwidth} if hardware.bandwidth is not None else {})
 
 
-EIGENVALUE = Record("smallest", "rounding")  # least one, and what it must exceed
+EIGENVALUE = Record("smallest", "rounding")  # smallest eigenvalue, and the value that it must exceed
 LMI = Record[LmiProof](proved="holds", X=EIGENVALUE.all("positive"), minus_20=EIGENVALUE.all("negative"))
 CLAIMS = Record[Certificate](
     Record(routes_gap=lambda one: one.norm.gap if one.stable else None), PEAK, Record("poles"), LOWER_BOUND, GAP
 )
-DESIGN_RECORD = Record[Any](  # of a row whose design succeeded
+DESIGN_RECORD = Record[Any](  # JSON object of a row whose design succeeded
     Record("name", measured="controller.measured"),
     lambda row: row.controller.law.record,
     lambda row: _hardware(row.controller),

@@ -1,4 +1,4 @@
-"""`python -m synth --front`: a trade-off as a table, a picture, CSV, controllers in a vehicle file, and one JSON object."""
+"""`python -m synth --front`: a trade-off as a table, figure, CSV, controllers in a vehicle file, and JSON."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, MARKED_POINTS, Front, entry_of, front
 from synth.vehicle.trade_off.report import RECORD, describe, front_figure, write_csv
 
-USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
-SHOWN_POINTS = 3  # points of a short table
-SAVED_NAME = "point"  # in the name of a saved one: I_point_17
+USUAL = "I"  # default controller, whose measurements the designs use
+SHOWN_POINTS = 3  # number of points in a short table
+SAVED_NAME = "point"  # part of the name of a saved design, such as I_point_17
 
 
 def answer(vehicle: Vehicle, options: Namespace) -> int:
-    """Runs the command; returns its exit code.
+    """Runs the command. Returns the exit code.
 
     Raises:
-        InputError: bad axes, a controller that no front can be designed for, a point that there is not, or a file that cannot be
+        InputError: an axis is invalid, no front can be based on the controller, a point does not exist, or a file cannot be
             written.
     """
     axes = axes_of(vehicle, options.front)
@@ -78,7 +78,10 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
 
 
 def others_of(vehicle: Vehicle) -> list[str]:
-    """The controllers that are shown beside a front: all linear ones but those designed for goals, which take seconds each."""
+    """Returns the linear controllers that are shown with a front.
+
+    Controllers that are designed for goals are omitted, because each takes seconds.
+    """
     return [
         name
         for name in vehicle.linear_names
@@ -87,7 +90,7 @@ def others_of(vehicle: Vehicle) -> list[str]:
 
 
 def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
-    """Returns the requested controller, or the usual one."""
+    """Returns the name of the requested controller, or of the default controller."""
     if given is None:
         return usual(vehicle)
     if len(given) > 1:
@@ -96,12 +99,12 @@ def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
 
 
 def usual(vehicle: Vehicle) -> str:
-    """Returns the default controller of a front: I, or the first of the file."""
+    """Returns the name of the default controller of a front: I, or the first controller of the file."""
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
 def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
-    """The points that are saved."""
+    """Returns the numbers of the points that are saved."""
     for i in given or ():
         if i > len(trade_off.points):
             raise InputError(

@@ -1,1 +1,1 @@
-"""Controllers of vehicles: a vehicle's signals as a plant, a law with its certificate, and the loop as implemented."""
+"""Controllers of vehicles: the vehicle as a plant, control laws with certificates, and the sampled-data implementation."""

@@ -1,4 +1,4 @@
-"""A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
+"""Controller of a vehicle: its control law, and the certificate for the control problem (`synth.controller.problem`)."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard
@@ -29,30 +29,30 @@ if TYPE_CHECKING:
     from synth.analysis.specification import Specification
 
 
-SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
+SUFFIX = "_designed"  # suffix of the name of a designed controller that becomes a section of a vehicle file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(ControlLaw, CheckedFields, ShownResult):
-    """A linear controller with its certificate and the notes of its design.
+    """Linear controller of a vehicle, with its certificate and notes about its design.
 
     Attributes:
-        name: section of the vehicle file.
-        measured: the q measured signals y. Empty for `passive`.
-        law: the law from y to the m forces; a static one is u = K y.
-        designed: True if it was designed here; otherwise the law was given (or is zero, for `passive`).
-        steps: the `Design` in two steps that its gain is from; None for other laws.
-        redundant: the signals among `measured` that follow from the others; their gain is zero.
+        name: name of its section in the vehicle file.
+        measured: names of the q measured signals y; empty for `passive`.
+        law: control law from y to the m forces; a static law is u = K y.
+        designed: True if the controller was designed by Roadproof; False if its law was given, or is zero (`passive`).
+        steps: the two-step `Design` that produced its gain; None for other controllers.
+        redundant: names of measured signals that depend linearly on the others; their gains are zero.
         certificate: certificate of the closed loop.
-        degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
-        fallback_method: the fallback method and why the two steps found no gain, in words, or empty.
-        remarks: notes in words: for designs other than by two steps, the distance from the optimum or what was optimised.
-        false_claims: claims of the given certificate that do not hold, in words.
-        hardware: sensor noise, actuator lag and loads that its certificate takes into account.
-        sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
-        specifications: specifications of its design or evaluation, in addition to the least norm.
-        preview: force from the road ahead, in addition to that of its law; None without.
-        code: the `ExportedCode` that computes its outputs in runs; None if its own law does.
+        degeneracy: text about the degeneracy of (22), which has no optimum or for which every gain is optimal; else empty.
+        fallback_method: text about the fallback method, and why the two steps found no gain; else empty.
+        remarks: further notes. For a design without the two steps, they give the distance from the optimum, or the objective.
+        false_claims: texts of the claims of a given certificate that do not hold.
+        hardware: sensor noise, actuator lag and loads that the certificate includes.
+        sampled: True if the controller was designed for the sampled-data loop. The certificate is still that of the ideal loop.
+        specifications: specifications of the design or of its evaluation, in addition to the H-infinity norm.
+        preview: force from the road ahead, which is added to the force of the law; None without preview.
+        code: `ExportedCode` that computes the forces in simulations; None if the law itself computes them.
     """
 
     linear: ClassVar[Literal[True]] = True
@@ -77,17 +77,17 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @classmethod
     def of(cls, entry: ControllerEntry, law: LinearLaw, certificate: Certificate, **more: Any) -> "Controller":
-        """Returns the designed controller of a section of the vehicle file; `more` are other attributes."""
+        """Returns the designed controller for a section of a vehicle file; `more` contains further attributes."""
         return cls(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, **more)
 
     @property
     def kind(self) -> str:
-        """Kind of its law, in words, with an article."""
+        """Text that describes the type of the law, with an article."""
         return "a linear law"
 
     @property
     def summary(self) -> Document:
-        """Measured signals, law and certificate."""
+        """Document with the measured signals, the law and the certificate."""
         states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
         law = states if self.law.states else self.text if self.measured else "no force"
         made, certificate = "designed" if self.designed else "given", self.certificate
@@ -96,7 +96,7 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def figures(self) -> "tuple[Figure, ...]":
-        """The gain of the closed loop."""
+        """Figure of the gain of the closed loop over frequency."""
         return self.certificate.figures
 
     @property
@@ -106,102 +106,111 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
     @property
     def acts(self) -> bool:
-        """See `ControlLaw`."""
+        """False if no measurement ever causes a force; see `ControlLaw`."""
         return self.law.acts
 
     @property
     def growth(self) -> float:
-        """See `ControlLaw`."""
+        """Growth rate of the fastest growing state of the law itself [1/s]; see `ControlLaw`."""
         return self.law.growth
 
     @property
     def has_anti_windup(self) -> bool:
-        """See `ControlLaw`."""
+        """True if the law has anti-windup; see `ControlLaw`."""
         return self.law.anti_windup is not None
 
     def preview_samples(self, period: float) -> int:
-        """See `ControlLaw`."""
+        """Returns the number of road heights per wheel that the law reads; see `ControlLaw`."""
         return 0 if self.preview is None else self.preview.samples(period)
 
     def state_scale(self, period: float) -> float:
-        """See `ControlLaw`."""
+        """Returns the factor from the states in a simulation to those of the law; see `ControlLaw`."""
         return self.law.of_state(period)
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns name, signals, law and code as a JSON object."""
+        """Name, measured signals, law, preview and code as a JSON object."""
         more = {"preview": self.preview, "code": self.code}
         parts = {name: part.record for name, part in more.items() if part is not None}
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **parts}
 
     @property
     def text(self) -> str:
-        """The law on one line."""
+        """One-line text of the law."""
         ahead = "" if self.preview is None else f", and the road {self.preview.seconds:g} s ahead"
         return f"{self.law.text}{ahead}" if self.measured else "no control force"
 
     @property
     def ahead(self) -> float:
-        """Time by which the road is known ahead [s]; 0 without a preview."""
+        """Preview time of the road [s]; 0 without a preview."""
         return 0.0 if self.preview is None else self.preview.seconds
 
     @property
     def feedback(self) -> "Controller":
-        """The controller without its force from the road ahead; it has the same poles and margins."""
+        """Controller without the force from the road ahead; its poles and stability margins are the same."""
         return self if self.preview is None else replace(self, preview=None)
 
     @property
     def without_noise(self) -> "Controller":
-        """The same controller, whose norms as implemented are of the road alone, without the noise of its sensors."""
+        """Controller without sensor noise in `hardware`. The norms of its implementation then concern the road alone."""
         return replace(self, hardware=replace(self.hardware, noise=()))
 
     @property
     def gain(self) -> Array:
-        """Feedthrough D_c, or K of a static controller, shape (m, q) [N per measured unit]."""
+        """Feedthrough D_c of the law, or K of a static law, shape (m, q) [N per unit of the measurement]."""
         return self.law.D
 
     @property
     def robustness(self) -> "tuple[Specification, ...]":
-        """The specifications of errors that its section weights by frequency."""
+        """Specifications for the frequency-weighted uncertainties in the controller's section."""
         return tuple(promise for promise in self.specifications if promise.what in ROBUST)
 
     @property
     def unmet_specifications(self) -> tuple[str, ...]:
-        """The specifications that are not kept, or not proved, in words."""
-        return tuple(f"specification not kept: {promise.text}" for promise in self.specifications if not promise.holds)
+        """Texts of the specifications that do not hold, or are not proved."""
+        return tuple(f"specification not met: {promise.text}" for promise in self.specifications if not promise.holds)
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The claims of its certificate and its specifications that do not hold, in words."""
+        """Texts of the claims of its certificate and of its specifications that do not hold."""
         return (*self.certificate.failures, *self.unmet_specifications)
 
     @check_arguments
     def problem(self, vehicle: Vehicle) -> Problem:
-        """Returns the problem that the controller is judged with, for a vehicle that has these signals.
+        """Returns the control problem with which the controller is evaluated on a vehicle.
+
+        Args:
+            vehicle: vehicle with the measured signals of the controller.
+
+        Returns:
+            Plant, weights, measurements and hardware, as a `Problem`.
 
         Raises:
-            InputError: the vehicle has other signals or forces.
+            InputError: the vehicle does not have these signals or this number of forces.
         """
         check_fits(vehicle, self)
         return problem(vehicle, self.measured, self.hardware)
 
     def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
-        """Returns the law in continuous time on C_y x, solved for forces that are part of the measurements.
+        """Returns the law in continuous time on C_y x. Forces that are part of the measurements are eliminated.
 
         Raises:
-            InputError: the loop has no solution, or a discrete law has no continuous counterpart.
+            InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
         """
         return self.law.continuous().fed_back(self.problem(vehicle).plant.Dyu[: len(self.measured)])
 
     def loop(self, vehicle: Vehicle) -> Plant:
-        """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
+        """Returns the closed loop (16)-(17) from w to z for a vehicle with the measured signals of the controller."""
         return self.problem(vehicle).judged(self.law).loop
 
     def state_gain(self, vehicle: Vehicle) -> Array:
-        """Returns G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
+        """Returns the state gain G = K C_y (6) of a static controller, shape (m, n).
+
+        Args:
+            vehicle: vehicle with the measured signals of the controller.
 
         Raises:
-            ValueError: the law has states; `loop` accepts any law.
+            ValueError: the law has states. `loop` accepts any law.
         """
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states and therefore no state gain; use loop(vehicle)")
@@ -210,21 +219,21 @@ class Controller(ControlLaw, CheckedFields, ShownResult):
 
 
 if TYPE_CHECKING:
-    AnyController = Controller | PythonController | SemiActive  # a controller that drives a vehicle
+    AnyController = Controller | PythonController | SemiActive  # a controller that can control a vehicle
 else:
-    AnyController = ControlLaw  # its base, as the laws of the others are imported where they are used
+    AnyController = ControlLaw  # base class; the modules of the other classes are imported only where they are used
 
 
 def is_linear(controller: AnyController, vehicle: Vehicle) -> TypeGuard[Controller]:
-    """Returns True if a run is linear until a limit is reached: its law is, and acts on no adjustable dampers."""
+    """Returns True if a simulation is linear until a limit is reached: a linear law that acts on no adjustable dampers."""
     return controller.linear is True and not (vehicle.dampers and controller.acts)
 
 
 def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
-    """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
+    """Checks that controllers fit a vehicle: the vehicle has their measured signals and their number of forces.
 
     Raises:
-        InputError: the law does not fit the vehicle; the message contains the controller's name.
+        InputError: a law does not fit the vehicle. The message contains the name of the controller.
     """
     outputs, forces = vehicle.linear_model.outputs, len(vehicle.linear_model.inputs)
     for one in controllers:
@@ -240,10 +249,11 @@ def check_fits(vehicle: Vehicle, *controllers: AnyController) -> None:
 
 
 def check_feedback_alone(controller: Controller, what: str) -> None:
-    """Refuses a controller that answers the road ahead where only its feedback would be held.
+    """Checks that a controller has no preview, where only its feedback could be represented.
 
     Args:
-        what: holder of the controller, for the message.
+        controller: controller to check.
+        what: text for the message: where the controller is used.
 
     Raises:
         InputError: the controller has a preview.
@@ -256,14 +266,17 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
 
 
 def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-    """Recomputes the certificate of a law from the given proofs. Returns it with the claims that fail, in words.
+    """Recomputes the certificate of a law from the proofs in its record.
 
     Args:
-        problem: the problem that it is judged with.
-        entry: section of the vehicle file with its law.
+        problem: control problem with which the controller is evaluated.
+        entry: section of the vehicle file with the law.
+
+    Returns:
+        The certificate, and texts of the claims that fail.
 
     Raises:
-        InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
+        InputError: the certificate is malformed, or the algebraic loop has no solution (`Controller.law_on_states`).
     """
     records = FEATURES.load("certificates as data")
 
@@ -277,10 +290,12 @@ def verify_record(problem: Problem, entry: ControllerEntry) -> tuple[Certificate
 
 
 def certify_law(problem: Problem, entry: ControllerEntry, lower_bound: "LowerBound") -> tuple[Certificate, tuple[str, ...]]:
-    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
+    """Certifies a law with a given lower bound.
+
+    Arguments and return values are those of `verify_record`.
 
     Raises:
-        InputError: the law has no loop.
+        InputError: the algebraic loop has no solution.
     """
     with error_in(f"[controllers.{entry.name}]"):
         certificate = problem.judged(_law(entry)).certificate(lower_bound=lower_bound)
@@ -299,17 +314,17 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 
 
 def on_readings(law: LinearLaw, problem: Problem) -> LinearLaw:
-    """Returns a law designed on C_y x as a law on sensor readings, of which accelerations contain the force.
+    """Converts a law designed on C_y x to a law on the measurements of the sensors; accelerations contain the control force.
 
-    Measured forces are subtracted from the readings; for others the law is changed, so that the loop stays the same. Integrals
-    of readings become states of the law.
+    If the force is measured, it is subtracted from the measurements. Otherwise the law is changed so that the closed loop stays
+    the same. Integrals of measurements become states of the law.
 
     Args:
         law: law from the measured signals that depend on the state.
-        problem: the problem that it was designed for, with all q signals.
+        problem: control problem for which the law was designed, with all q signals.
 
     Raises:
-        InputError: the loop through the measurements has no solution.
+        InputError: the algebraic loop through the measurements has no solution.
     """
     through, others = problem.plant.Dyu, problem.state_measurements
     q = len(through)

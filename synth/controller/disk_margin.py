@@ -1,7 +1,7 @@
-"""The symmetric disk margin of a loop that is cut at its actuators, as by `Loop.cut`.
+"""Symmetric disk margin of a loop that is cut at its actuators, as by `Loop.cut`.
 
-It is 1 / ||S - I / 2|| with S = (I - L)^-1: each force may have a complex factor f of its own with |f - 1| / |f + 1| below half
-of it (Seiler, Packard, Gahinet 2020).
+The margin is 1 / ||S - I / 2|| with S = (I - L)^-1. The loop is stable if each force has its own complex factor f, as long as
+|f - 1| / |f + 1| is below half the margin (Seiler, Packard, Gahinet 2020).
 """
 
 import math
@@ -16,10 +16,11 @@ from synth.plant.state_space import StateSpace
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Symmetric disk margin: the complex factors that all forces tolerate simultaneously, each its own.
+    """Symmetric disk margin: tolerance of the loop to complex factors on all forces simultaneously, each with its own factor.
 
     Attributes:
-        size: margin from 0 to 2; exact for one force, a bound for several, whose factors may depend on each other.
+        size: margin from 0 to 2. The margin is exact for one force. For several forces, it is a lower bound, exact if their
+            factors may depend on each other.
         frequency: frequency at which the loop is closest to instability [rad/s].
     """
 
@@ -28,20 +29,20 @@ class DiskMargin:
 
     @property
     def gain(self) -> tuple[float, float]:
-        """The smallest and the largest real factor."""
+        """Smallest and largest real factor for which the loop is stable."""
         return (2 - self.size) / (2 + self.size), (2 + self.size) / (2 - self.size) if self.size < 2 else math.inf
 
     @property
     def phase(self) -> float:
-        """The largest turn, either way [rad]."""
+        """Largest phase lead or lag for which the loop is stable [rad]."""
         return 2 * math.atan(self.size / 2)
 
 
 def disk_margin(cut: StateSpace) -> DiskMargin:
-    """Returns the symmetric disk margin of a loop that is stable when closed."""
+    """Returns the symmetric disk margin of a cut loop whose closed loop is stable."""
     inverse, half = np.linalg.inv(np.eye(len(cut.D)) - cut.D), np.eye(len(cut.D)) / 2
     n, k = cut.B.shape
-    # x' = A x + B u, u = v + d, and z = u - d / 2.
+    # System with x' = A x + B u, u = v + d, and z = u - d / 2.
     sensitivity = Plant(
         A=cut.loop_matrix(1.0),
         B=np.zeros((n, 1)),

@@ -1,17 +1,20 @@
-"""Statistical linearisation: the straight lines that fit a vehicle's curves best over a random road.
+"""Statistical linearisation: straight lines that fit the nonlinear characteristics of a vehicle best over a random road.
 
-A signal y over a random road is nearly Gaussian, of mean m and standard deviation s. The line with the least mean square error
-for the curve F has its mean force and its mean slope,
+Over a random road, a signal y is nearly Gaussian, with mean m and standard deviation s. The line with the least mean-square
+error for a characteristic F has the mean force and the mean slope of F:
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
-    E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s,
+    E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s.
 
-where the slope changes by d_i at the knot k_i, and phi and Q are the normal density and tail: in closed form for straight lines
-(T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos, Random Vibration and Statistical
-Linearization, 1990, chapter 5). The linear vehicle with those slopes has other m and s, so the computation is iterated until they
-are consistent. An asymmetric damper has a mean force, which the springs carry: the body sits lower or higher (jacks down).
+The slope changes by d_i at the knot k_i. phi is the normal density, and Q its upper tail probability. The formulas are exact
+for piecewise linear characteristics (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos,
+Random Vibration and Statistical Linearization, 1990, chapter 5).
 
-If two wheels share a parameter, their slopes are averaged: road and car are the same on both sides.
+The linear vehicle with these slopes has other values of m and s. The computation is therefore iterated until slopes, m and s
+are consistent. An asymmetric damper has a mean force, which the springs carry, so the body height changes (the damper jacks the
+body down).
+
+If two wheels share a parameter, the mean of their slopes is used, because road and car are the same on both sides.
 """
 
 import math
@@ -19,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # `scipy.special` is imported at its first use, and takes a tenth of a second
+import scipy  # `scipy.special` is imported at its first use, which takes 0.1 s
 
 from models.characteristics.curve import ForceCurve
 from models.common.arrays import Array
@@ -28,21 +31,21 @@ from synth.controller.controller import Controller
 from synth.controller.loop_of import loop_of
 
 CONSISTENT = 1e-6  # relative change at which the iteration ends
-DIRECT = 10  # rounds with full steps
+DIRECT = 10  # number of rounds with full steps
 MOST_ROUNDS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class EquivalentLine:
-    """Linear vehicle that replaces a vehicle with e curves that bend.
+    """Linear vehicle that replaces a vehicle with e nonlinear characteristics.
 
     Attributes:
-        vehicle: vehicle without curves.
-        curves: the curves, e of them; a position-dependent damper is its mean over all deflections.
-        signals: names of the signals on which they depend.
-        deflections: names of the deflections along which their forces pull.
-        slopes: slopes of their lines at the wheel, shape (e,).
-        mean: means of all output signals, by name [the signal's unit].
+        vehicle: linear vehicle.
+        curves: the e characteristics. A position-dependent damper is represented by its mean over all deflections.
+        signals: names of the signals on which the characteristics depend.
+        deflections: names of the deflections along which their forces act.
+        slopes: slopes of the lines at the wheel, shape (e,).
+        mean: mean of every output signal, by name [unit of the signal].
         rounds: number of iterations.
     """
 
@@ -58,11 +61,13 @@ class EquivalentLine:
 def equivalent_line(
     vehicle: Vehicle, controller: Controller, deviations: Callable[[Vehicle, Sequence[str]], Array | None]
 ) -> EquivalentLine | None:
-    """Returns the linear vehicle that replaces a vehicle with curves, or None if no stable loop is consistent with its lines.
+    """Returns the linear vehicle that replaces a nonlinear vehicle; None if no stable loop is consistent with its lines.
 
     Args:
-        deviations: function of a linear vehicle and names of signals that returns their standard deviations over the road, shape
-            (k,), or None for an unstable loop.
+        vehicle: vehicle with nonlinear characteristics.
+        controller: linear controller.
+        deviations: function of a linear vehicle and the names of k signals. This function returns the standard deviations of
+            these signals over the road, shape (k,), or None if the loop is unstable.
     """
     if without_curve(vehicle):
         return None
@@ -102,7 +107,7 @@ def equivalent_line(
 
 
 def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of elements with a force that differs from a line and depends on more than one signal."""
+    """Returns the names of nonlinear elements whose force depends on more than one signal, so that no characteristic exists."""
     bent = (
         one
         for one in vehicle.parts
@@ -112,7 +117,7 @@ def without_curve(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:
-    """Returns the mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
+    """Returns the mean force [N] and the mean slope of a characteristic for a Gaussian argument."""
     if deviation == 0:
         near = 1e-9 * float(np.abs(curve.x).max())
         below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))
@@ -126,11 +131,13 @@ def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, f
 
 
 def mean_outputs(vehicle: Vehicle, controller: Controller, deflections: Sequence[str], forces: Array) -> dict[str, float]:
-    """Returns the means of all output signals of a linear vehicle under the mean forces of its curves, by name.
+    """Returns the mean of every output signal of a linear vehicle, by name.
 
     Args:
-        deflections: names of the deflections along which the forces pull, e of them.
-        forces: mean forces [N], shape (e,).
+        vehicle: linear vehicle.
+        controller: linear controller.
+        deflections: names of the e deflections along which the forces act.
+        forces: mean forces of the nonlinear characteristics [N], shape (e,).
     """
     outputs = vehicle.linear_model.outputs
     closed = loop_of(vehicle, controller).closed_loop.part(outputs, ())

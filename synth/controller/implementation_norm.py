@@ -1,9 +1,10 @@
-"""The L2 gain of a vehicle's sampled loop, from the road's continuous velocity to the continuous z.
+"""L2 gain of a vehicle's sampled-data loop, from the continuous road velocity to the continuous output z.
 
-It is the continuous norm (18) of the loop with `[implementation]` and the lag of `[limits]`: the force is held and delayed, while
-road and vehicle move continuously. Nonlinear parts (limits of force and stroke, quantisation) do not count. Noise of the readings
-counts if the controller asks for it. Behind a lag, z weights the acting force. An integral in z does not count: a computer sums
-its readings, and only that sum returns to zero.
+This gain corresponds to the norm (18) of the continuous loop, but it includes `[implementation]` and the actuator lag of
+`[limits]`. The force is held and delayed, while road and vehicle move continuously. Nonlinear parts (limits of force and
+stroke, quantisation) are not included. Measurement noise is included if the controller's section specifies it. With actuator
+lag, z contains the acting force. An integral in z is not included: a computer sums its measurements, and only this sum returns
+to zero.
 """
 
 import math
@@ -27,15 +28,16 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, measurements, problem, road_rates
 from synth.plant.generalized import Plant
 
-FORGOTTEN = 1e-5  # per period, of what the mean of the road's velocity is from: without, its integral would not decay
+FORGOTTEN = 1e-5  # decay per period of the integral from which the mean road velocity is computed; without it, no decay
 
 
 def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm:
-    """Returns the L2 gain of the loop from all disturbances to z, infinite if the loop is not stable.
+    """Returns the L2 gain of the sampled-data loop from all disturbances to z; infinite if the loop is not stable.
 
     Args:
-        vehicle: vehicle with the controller's implementation.
-        timestep: step of the runs [s]; the sample period if the vehicle gives none.
+        vehicle: vehicle with the implementation of the controller.
+        controller: linear controller of this vehicle.
+        timestep: timestep of the simulations [s], used as the sample period if the vehicle file has none.
     """
     ideal = controller.certificate.norm.value
     near = ideal if 0 < ideal < np.inf else 1.0
@@ -43,11 +45,12 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
 
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
-    """Returns the loop as implemented, with the plant's weights and lag; arguments as for `norm_as_implemented`.
+    """Returns the sampled-data loop of a vehicle and a controller, with weights and actuator lag.
 
-    A reading that contains the road's velocity, by tyres that damp, contains its mean over the last period: no energy of the road
-    bounds the velocity at an instant. As in MuJoCo, where a road that is held moves by steps. The road's height in a reading is
-    the integral of its velocity.
+    With tyre damping, a measurement may contain the road velocity. Such a measurement then contains the mean velocity over the
+    last period, because the energy of the road bounds no velocity at an instant. This agrees with MuJoCo, where a held road
+    moves in steps. The road height in a measurement is the integral of the road velocity. The arguments are those of
+    `norm_as_implemented`.
     """
     period, model = vehicle.implementation.sample_period or timestep, vehicle.linear_model
     problem = _sampled_problem(vehicle, controller.measured, period, controller.hardware.noise)
@@ -56,8 +59,8 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     rows = [model.outputs.index(name) for name in controller.measured]
     if not model.Dw[rows].any() and not model.Cr[rows].any():
         return problem.loop(law)
-    # The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the law keeps the integral of the last sample:
-    # their difference is the mean.
+    # The plant integrates the velocity, with a decay of `FORGOTTEN` per period. The law stores the integral of the last sample.
+    # The difference of the two integrals gives the mean velocity.
     (n, m), q, r, plant = problem.plant.B.shape, len(rows), model.Dw.shape[1], problem.plant
     C, D = (rate[:r] for rate in road_rates(vehicle.without_integrals, plant))
     wide = replace(
@@ -79,7 +82,7 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
 
 
 def _sampled_problem(vehicle: Vehicle, measured: Sequence[str], period: float, noise: Sequence[float]) -> SampledDataProblem:
-    """Returns the sampled-data problem of measured signals, with the rms noise of each, if there is one."""
+    """Returns the sampled-data problem for measured signals, with the rms noise of each measurement if noise is given."""
     Cy, through = measurements(vehicle.without_integrals, measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(noise) if any(noise) else None
     plant = replace(plant_as_built(vehicle), Cy=Cy, Dyu=through)
@@ -87,10 +90,10 @@ def _sampled_problem(vehicle: Vehicle, measured: Sequence[str], period: float, n
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
-    """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
+    """Returns the sampled-data problem of a controller: the vehicle with its filters and actuator lag, and the measurements.
 
     Raises:
-        InputError: the vehicle has no sample period, or a measurement contains the road's velocity.
+        InputError: the vehicle has no sample period, or a measurement contains the road velocity.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
@@ -107,7 +110,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
-    """Returns the false claim of a record about the lower bound of the sampled loop, in words; empty without one.
+    """Checks the claimed lower bound of the sampled-data loop. Returns a text if the claim is false; else an empty tuple.
 
     The dual solution is checked on the discrete plant of the claimed level, which is computed again.
 
@@ -125,7 +128,7 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
+    """Returns the limit of the norm for fast sampling: the norm of the loop with actuator lag, for the road alone."""
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
     if vehicle.linear_model.over_datum(controller.measured):
@@ -139,5 +142,5 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 
 def plant_as_built(vehicle: Vehicle) -> Plant:
-    """Returns the plant (15) behind its actuators' lag, if they have one; z weights the acting forces."""
+    """Returns the plant (15) with its actuator lag, if it has one. The output z then contains the acting forces."""
     return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

@@ -1,12 +1,13 @@
-"""Integral action: a law whose states are integrals of its readings, as a law on these integrals, and the way back.
+"""Integral action: converts a law whose states include integrals of its measurements to a law on these integrals, and back.
 
-An integral that z weighs has to return to zero, or z has no norm. So a law that is designed for it feeds it back: its first
-states are integrals of its readings, x_c' = S y. Those are states of the plant, too, and a loop that had both would hold a
-difference of the two that never decays. So it has them once: the law is taken as one on [y; integrals].
+If z weights an integral, the integral must return to zero; otherwise z has no norm. A law designed for such a z therefore feeds
+the integral back. Its first states are integrals of its measurements, x_c' = S y. These integrals are states of the plant, too.
+If a loop contained both, their difference would never decay. The loop therefore contains them only once: the law is treated as
+a law on [y; integrals].
 
-A law without them may have a norm all the same, where what is integrated is zero at 0 rad/s whatever the road does. With
-x' = A x + B w of the loop and c x + d w integrated, the integral is then c A^-1 x: its derivative is c x + c A^-1 B w, and
-c A^-1 B = d says that the transfer function d - c A^-1 B is zero there.
+A law without these integrals may still have a norm, if the integrated signal is zero at 0 rad/s for every road. Let x' = A x +
+B w describe the loop, and let c x + d w be integrated. The integral is then c A^-1 x, because its derivative is c x + c A^-1 B
+w. The condition c A^-1 B = d means that the transfer function d - c A^-1 B is zero at 0 rad/s.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,11 +19,16 @@ from models.laws.linear import LinearLaw
 from synth.analysis.stability import beside_weights, is_stable
 from synth.plant.generalized import Plant
 
-RETURNS = 1e-9  # relative to the sum of the terms' sizes: less is zero at 0 rad/s
+RETURNS = 1e-9  # size relative to the sum of the terms below which a transfer function counts as zero at 0 rad/s
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
-    """Returns the law on readings y of a law on [y; integrals of S y], S of shape (j, q): the integrals are its first states."""
+    """Converts a law on [y; integrals of S y] to a law on the measurements y, whose first states are the integrals.
+
+    Args:
+        law: law on the q measurements and j integrals.
+        integrated: matrix S, shape (j, q).
+    """
     (j, q), k = integrated.shape, law.states
     A = np.block([[np.zeros((j, j + k))], [law.B[:, q:], law.A]])
     B = np.vstack([integrated, law.B[:, :q]])
@@ -30,10 +36,14 @@ def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
 
 
 def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[int, float]]:
-    """Returns the integrals that a continuous law keeps: its state of each, and that state over the integral, by row of S.
+    """Returns the integrals that are states of a continuous law.
 
     Args:
-        integrated: S, shape (j, q); None for none.
+        law: law on the measurements.
+        integrated: matrix S, shape (j, q); None if there are no integrals.
+
+    Returns:
+        For each row of S that the law integrates: the index of the state, and the ratio of the state to the integral.
     """
     states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):
@@ -47,11 +57,12 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:
-    """Returns the law on [y; integrals of S y] of a law on readings y, without the states that are such integrals.
+    """Converts a law on the measurements y to a law on [y; integrals of S y], without the states that are such integrals.
 
     Args:
-        integrated: S, shape (j, q); None for none.
-        kept: result of `integrators_of`; integrals that the law does not keep are measured, and act on nothing.
+        law: law on the measurements.
+        integrated: matrix S, shape (j, q); None if there are no integrals.
+        kept: result of `integrators_of`. Integrals that the law does not contain have zero gain.
     """
     if integrated is None:
         return law
@@ -67,17 +78,17 @@ def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tu
 def settled_integrals(loop: Plant, plant: Plant, lacking: Sequence[int]) -> Array | None:
     """Returns integrals as combinations of the other states of a loop, shape (len(lacking), n - len(lacking)).
 
-    None if such an integral does not return to zero: the rest of the loop does not decay, or w moves what is integrated at
-    0 rad/s.
+    The result is None if such an integral does not return to zero. This is the case if the rest of the loop does not decay, or
+    if w acts on the integrated signal at 0 rad/s.
 
     Args:
-        loop: n states, of which the integrals act on z alone.
-        plant: plant without the law's states, which follow its own.
-        lacking: states that are such integrals.
+        loop: closed loop with n states, in which the integrals affect only z.
+        plant: plant without the states of the law; its states are the first of the loop.
+        lacking: indices of the states that are such integrals.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)
     A, c, d = loop.A[stay][:, stay], loop.A[lacking][:, stay], loop.Bw[lacking]
-    others = beside_weights(plant, loop.A)  # weights' states stand behind the integrals
+    others = beside_weights(plant, loop.A)  # the states of weighting filters follow the integrals
     if not is_stable(np.delete(np.delete(others, lacking, axis=0), lacking, axis=1)):
         return None
     rows = np.linalg.solve(A.T, c.T).T

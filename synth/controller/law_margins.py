@@ -1,19 +1,19 @@
-"""Warnings about a law: unstable by itself, windup, direct feedback, and small stability margins of its ideal loop.
+"""Warnings about a control law: instability of the law itself, windup, direct feedback, and small margins of its ideal loop.
 
-- A law is *unstable by itself* if its own states grow without measurements: a pole right of the imaginary axis, or outside the
-  unit circle.
-- A law *winds up* if it is unstable by itself, the vehicle file clips its forces (`actuator_force` or adjustable dampers), and it
-  has no anti-windup. Its states grow, but its clipped forces and their effect on the measurements are bounded, so that no later
-  measurement brings the states back. An integrator has a pole at 0 and does not count: its states grow no faster than the
-  measurements.
-- *Direct feedback* is a force in its own measurements at once, as accelerations contain it: their share H of the force. The ideal
-  loop solves u = H u + ..., but once it is sampled, or late by any time, each computed force contains H times the one before, and
-  grows if the spectral radius of H is 1 or more.
-- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and `[implementation]`,
-  with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to 1, at which the loop
-  is unstable, at most 1 / h for a positive eigenvalue h of H. A margin is small below `LEAST_GAIN`, or its inverse, or below
-  `LEAST_DISK`. (Skogestad, Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` measures the margins
-  of each actuator, too.
+- A law is *unstable by itself* if its own states grow without measurements. Such a law has a pole to the right of the imaginary
+  axis, or outside the unit circle.
+- A law *winds up* if it is unstable by itself and has no anti-windup, and the vehicle file clips its forces (`actuator_force`
+  or semi-active dampers). The states of the law grow, but the effect of its clipped forces on the measurements is bounded.
+  Later measurements can therefore not bring the states back. An integrator has a pole at 0 and does not count, because its
+  states grow no faster than the measurements.
+- *Direct feedback* means that measurements contain the force of the law without delay, as accelerations do. Let H be the gain
+  from the force through these measurements back to the force. The ideal loop solves u = H u + ... . With sampling or any delay,
+  each computed force contains H times the previous force. The force grows if the spectral radius of H is 1 or more.
+- The *margins* are those of the ideal loop, cut at all actuators together. The ideal loop is continuous, without `[limits]` and
+  `[implementation]`; it contains actuator lag only if the design includes it. The gain margin is the factor on all forces,
+  nearest to 1, at which the loop is unstable. The gain margin is at most 1 / h for a positive eigenvalue h of H. A gain margin
+  is small if it is between 1 / `LEAST_GAIN` and `LEAST_GAIN`; a disk margin is small if it is below `LEAST_DISK`. (Skogestad,
+  Postlethwaite 2005, section 2.4.3, require a gain margin above 2.) `sim.margins` also computes the margins of each actuator.
 """
 
 import math
@@ -33,26 +33,26 @@ from synth.controller.loop_of import loop_of
 from synth.plant.state_space import StateSpace
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
-MANY = 3  # pairs of margins that a sentence lists in full; of more, the smallest disk margins
-FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
+MANY = 3  # largest number of pairs of margins in a sentence; if there are more, it lists the smallest disk margins
+FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # factors on the forces, in steps of 1.7 %
 GAIN = Field[float]("gain", float, ".3g", unit="dB")
 TURN = Field[float]("angle", float, "{:.3g}°".format, 180 / math.pi)
 SHARE = Field[float]("direct feedback", float, ".4g")
-EXACT = 1e-9  # relative to the distance from 1: of a factor at which the loop becomes unstable
+EXACT = 1e-9  # relative accuracy of the distance from 1 of a factor at which the loop becomes unstable
 
 
 @dataclass(frozen=True)
 class LawMargins:
-    """Stability of a law by itself, and small margins of its ideal loop.
+    """Stability of a law itself, and small margins of its ideal loop.
 
     Attributes:
-        growth: rate of the fastest growing state of the law by itself [1/s]; 0 if no state grows.
-        direct_feedback: spectral radius of H, with the actuators' lag; 0 if no measurement contains the force at once.
-        winds_up: description of where the forces are clipped if the law winds up there; empty otherwise.
-        gain: factor above 1 and up to `LEAST_GAIN` at which the loop is unstable, or infinity.
-        gain_lower: factor below 1, down to the inverse, at which the loop is unstable, or 0.
-        disk: symmetric disk from 0 to 2; None if the ideal loop is unstable, no measurement makes a force, or the law is a
-            passive element with inertance.
+        growth: growth rate of the fastest growing state of the law itself [1/s]; 0 if no state grows.
+        winds_up: text about the limit that clips the forces, if the law winds up; else empty.
+        gain: factor above 1, up to `LEAST_GAIN`, at which the loop becomes unstable; infinite without such a factor.
+        gain_lower: factor below 1, down to 1 / `LEAST_GAIN`, at which the loop becomes unstable; 0 without such a factor.
+        disk: symmetric disk margin from 0 to 2. None if the ideal loop is unstable, if no measurement causes a force, or if the
+            law is a passive element with inertance.
+        direct_feedback: spectral radius of H, with actuator lag; 0 if no measurement contains the force without delay.
     """
 
     growth: float
@@ -64,7 +64,7 @@ class LawMargins:
 
     @property
     def own_force(self) -> str:
-        """The direct feedback of a law that cannot be sampled, in words; empty for other laws."""
+        """Text about the direct feedback of a law that cannot be sampled; empty for other laws."""
         if self.direct_feedback < 1:
             return ""
         times = SHARE.digits(self.direct_feedback)
@@ -72,32 +72,32 @@ class LawMargins:
 
     @property
     def instability(self) -> str:
-        """The instability of the law by itself, and its windup, in words; empty for a stable law."""
+        """Text about the instability of the law itself and its windup; empty if the law is stable."""
         if not self.growth:
             return ""
         return f"unstable by itself (+{rough(self.growth)} 1/s)" + (f", winds up {self.winds_up}" if self.winds_up else "")
 
     @property
     def nearest(self) -> float | None:
-        """The small gain margin that is nearest to 1, either way; None without one."""
+        """Small gain margin that is nearest to 1, above or below; None if no gain margin is small."""
         nearest = self.gain if self.gain * self.gain_lower <= 1 else self.gain_lower
         return nearest if 0 < nearest < math.inf else None
 
     @property
     def pair(self) -> str:
-        """Gain and disk margin as a pair, "-" for a gain margin that is not small."""
+        """Text of gain margin and disk margin as a pair; "-" replaces a gain margin that is not small."""
         return f"{'-' if self.nearest is None else _factor(self.nearest)}/{_disk(self.disk or 0.0)}"
 
     @property
     def small(self) -> str:
-        """The margins that are small, in words; empty without any."""
+        """Text of the small margins; empty if no margin is small."""
         texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
         texts += [f"disk margin {_disk(self.disk)}"] if self.disk is not None and self.disk < LEAST_DISK else []
         return ", ".join(texts)
 
     @property
     def record(self) -> dict[str, Any]:
-        """The margins as JSON holds them; None for a gain margin that is not small, and for margins that do not exist."""
+        """Margins as a JSON object; None for gain margins that are not small, and for margins that do not exist."""
         return {
             "winds_up": bool(self.winds_up),
             "gain_margin": self.gain if math.isfinite(self.gain) else None,
@@ -108,9 +108,9 @@ class LawMargins:
 
 
 def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
-    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
+    """Returns the stability of a law itself, whether it winds up, and the small margins of its ideal loop.
 
-    Nothing is small of a law that is not linear, to which no margin applies.
+    Margins do not apply to a nonlinear law, for which the result contains no small margin.
     """
     if controller.linear is False:
         return LawMargins(0.0, "", math.inf, 0.0, None)
@@ -122,7 +122,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
         built = loop_of(vehicle, controller)
         ideal = built if limits == vehicle.limits else loop_of(replace(vehicle, limits=limits), controller)
         direct, loop = built.direct_radius, ideal.cut(ideal.forces)
-        if _growth(loop, np.ones(1))[0] < 0:  # rounding may decide on a marginal loop
+        if _growth(loop, np.ones(1))[0] < 0:  # rounding may make a marginal loop unstable here
             gain = _first_unstable(loop, FACTORS, math.inf)
             gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
             disk = None if direct and _is_element(vehicle, controller) else disk_margin(loop).size
@@ -130,7 +130,7 @@ def law_margins(vehicle: Vehicle, controller: AnyController) -> LawMargins:
 
 
 def warnings(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a sentence on the laws that are unstable by themselves, and another on small margins of the other laws."""
+    """Returns a warning about laws that are unstable by themselves, and a warning about small margins of other laws."""
     grow = {name: one for name, one in margins.items() if one.growth}
     clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
     rates = ", ".join(f"{as_name(name)} (+{rough(one.growth)} 1/s)" for name, one in grow.items())
@@ -150,14 +150,14 @@ def direct_feedback(margins: Mapping[str, LawMargins]) -> list[str]:
     """Returns a warning about laws that cannot be sampled because of their direct feedback."""
     times = [f"{as_name(name)} {SHARE.digits(one.direct_feedback)} times" for name, one in margins.items() if one.own_force]
     text = (
-        f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. Sampled or late, the force "
-        "grows from sample to sample; lower the gain on accelerations, or filter them."
+        f"WARNING: measurements contain the law's own force at once: {', '.join(times)}. With sampling or delay, the "
+        "force grows from sample to sample; lower the gain on accelerations, or filter them."
     )
     return [text] if times else []
 
 
 def _clipped_forces(vehicle: Vehicle) -> str:
-    """Returns where the forces are clipped, in words; empty if they are not."""
+    """Returns a text about the limit that clips the forces; empty if the forces are not clipped."""
     if (force := vehicle.limits.actuator_force) is not None:
         return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
     if (rate := vehicle.limits.force_rate) is not None:
@@ -166,9 +166,9 @@ def _clipped_forces(vehicle: Vehicle) -> str:
 
 
 def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if a law is a passive spring, damper and inerter between the ends of suspensions: none destabilises a car.
+    """Returns True if a law acts like passive springs, dampers and inerters in the suspensions. Such a law is always stable.
 
-    The law then is u = -(K d + C d' + M d'') with symmetric K and M, and none of the three takes energy from nowhere.
+    The law is then u = -(K d + C d' + M d'') with symmetric K and M, and none of its three parts produces energy.
     """
     model, law, m = vehicle.linear_model, controller.law, len(vehicle.linear_model.inputs)
     places = {one.force: one.deflection for one in vehicle.kind.suspensions}
@@ -193,14 +193,17 @@ def _is_element(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _growth(loop: StateSpace, factors: Array) -> Array:
-    """Returns the growth of the loops with these factors on all forces [1/s]; infinite from one on that no force solves."""
+    """Returns the growth rate of the loop for each factor on all forces [1/s].
+
+    The rate is infinite from the factor on at which the algebraic loop has no solution.
+    """
     growth, direct = np.linalg.eigvals(loop.loop_matrix(factors)).real.max(axis=-1), np.linalg.eigvals(loop.D)
     limit = direct.real[np.abs(direct.imag) <= EXACT * np.abs(direct)].max(initial=0.0)
     return np.where(limit * factors >= 1, np.inf, growth)
 
 
 def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
-    """Returns the factor nearest to 1 at which the loop becomes unstable, or `without` if none of these is unstable."""
+    """Returns the factor nearest to 1 at which the loop becomes unstable; `without` if the loop is stable for all factors."""
     unstable = np.flatnonzero(_growth(loop, factors) >= 0)
     if not len(unstable):
         return without
@@ -213,17 +216,20 @@ def _first_unstable(loop: StateSpace, factors: Array, without: float) -> float:
 
 
 def _factor(factor: float) -> str:
-    """Returns a factor with two digits of its distance from 1, at most six behind the point, and in dB."""
+    """Returns a text of a factor and its value in dB.
+
+    The factor has two significant digits of its distance from 1, and at most six decimals.
+    """
     distance = abs(factor - 1)
     digits = f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"
     return f"{digits} ({decibels(factor)})"
 
 
 def decibels(factor: float) -> str:
-    """Returns a factor above 0 in dB, with the unit."""
+    """Returns a text of a positive factor in dB."""
     return GAIN.text(20 * math.log10(factor))
 
 
 def _disk(size: float) -> str:
-    """Returns a disk margin, and the largest turn of all forces in degrees."""
+    """Returns a text of a disk margin and of the corresponding phase margin in degrees."""
     return f"{size:#.2g} ({TURN.digits(DiskMargin(size, math.nan).phase)})"

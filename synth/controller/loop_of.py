@@ -1,15 +1,18 @@
-"""The loop of a vehicle and its controller, by names: the one place that knows what acts on a vehicle, and what it shows.
+"""Loop of a vehicle and its controller with named signals. This module defines which inputs act on a vehicle.
 
-In continuous time the disturbances are the road's velocities (`road_velocity`), its heights (`road_velocity.height`), and loads.
+In continuous time, the disturbances are the road velocities (`road_velocity`), the road heights (`road_velocity.height`), and
+loads.
 
-A sampled loop holds them over every step. Its states are xi = x - J z_r, as they do not jump where a held road does,
+A sampled-data loop holds the disturbances over every step. The state xi = x - J z_r does not jump if a held road height jumps:
 
     xi' = A xi + B u + (A J + Br) z_m + Bh f,    signals = C xi + D u + (C J + Cr) z_r + Dh f_s,
 
-with z_m the height midway (`.midway`) and z_r that at the sample (`.height`). The loads and, if tyres damp, the road's mean
-velocities are f over a step (`.held`), f_s in signals (`.signal`) and f_r in readings (`.read`), which have noise (`.noise`).
+where z_m is the road height in the middle of a step (`.midway`), and z_r is the road height at the sample (`.height`). Loads
+and, with tyre damping, mean road velocities are held over a step as f (`.held`). Signals contain them as f_s (`.signal`), and
+measurements contain them as f_r (`.read`). Measurements also contain noise (`.noise`).
 
-Outputs are the vehicle's signals, the readings (`body_acceleration.read`) and the forces that the actuators are given (`.held`).
+The outputs are the signals of the vehicle, the measurements (`body_acceleration.read`) and the commanded forces of the
+actuators (`.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -31,17 +34,17 @@ HEIGHT, MIDWAY, HELD, SIGNAL, READ, NOISE = ".height", ".midway", ".held", ".sig
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """Returns the linear model with its actuators' lag, if they have one: then the acting forces are its last states."""
+    """Returns the linear model with its actuator lag, if it has one. The acting forces are then its last states."""
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
 def with_ending(names: Iterable[str], ending: str) -> tuple[str, ...]:
-    """Returns names with an ending."""
+    """Returns the names with an ending appended."""
     return tuple(f"{name}{ending}" for name in names)
 
 
 def pushes(model: LinearModel) -> tuple[str, ...]:
-    """Returns the names of what is held over a step beside the road's heights: loads and, if tyres damp, road velocities."""
+    """Returns the names of held inputs other than road heights: loads and, with tyre damping, road velocities."""
     return (*model.loads, *(model.disturbances if model.tyres_damp else ()))
 
 
@@ -51,12 +54,13 @@ def loop_of(
     timestep: float | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> Loop:
-    """Returns the loop of a vehicle with its actuators' lag: in continuous time, or sampled as in `[implementation]`.
+    """Returns the loop of a vehicle and a controller with actuator lag, in continuous time or sampled as in `[implementation]`.
 
     Args:
-        controller: linear controller; its preview is a known force.
-        timestep: timestep of the run [s]; None for continuous time without delay.
-        exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
+        vehicle: vehicle of the controller.
+        controller: linear controller. The force of its preview is an input of the loop.
+        timestep: timestep of the simulation [s]; None for continuous time without delay.
+        exponential: function that computes the matrix exponential. `taylor4` predicts an RK4 integrator.
 
     Raises:
         InputError: the sample period or the delay is not a multiple of the timestep, or the law cannot be sampled.
@@ -72,11 +76,12 @@ def loop_of(
 
 
 def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = False) -> StateSpace:
-    """Returns the plant of `loop_of`: from forces and disturbances to signals, readings and the given forces.
+    """Returns the plant of `loop_of`: from forces and disturbances to signals, measurements and commanded forces.
 
     Args:
+        vehicle: vehicle of the plant.
         measured: names of the measured signals.
-        sampled: True for disturbances that are held over steps.
+        sampled: True if disturbances are held over steps.
 
     Raises:
         InputError: the vehicle does not have a measured signal.
@@ -117,15 +122,20 @@ def plant_of(vehicle: Vehicle, measured: Sequence[str] = (), sampled: bool = Fal
 
 
 def radius(loop: Loop) -> float:
-    """Returns the growth per timestep of a sampled loop: above 1 it is unstable, at exactly 1 marginal."""
+    """Returns the growth factor of a sampled-data loop per timestep: above 1 if it is unstable, exactly 1 if it is marginal."""
     return sampled_growth(loop.closed_loop.A) ** (1 / len(loop.by_step))
 
 
 def road_inputs(model: LinearModel, controller: Controller, omega: Array) -> dict[str, Array]:
-    """Returns the inputs of a continuous loop under roads of velocity exp(j omega t), one at each wheel, by name, (F, r) each.
+    """Returns the inputs of a continuous loop for roads with the velocity exp(j omega t), one road for each of r wheels.
 
     Args:
+        model: linear model of the vehicle.
+        controller: linear controller, whose preview adds forces.
         omega: angular frequencies above 0 [rad/s], shape (F,).
+
+    Returns:
+        The complex amplitudes of the inputs by name, shape (F, r) each.
     """
     each = np.eye(len(model.disturbances))
     drive = {name: np.broadcast_to(row, (len(omega), len(each))) for name, row in zip(model.disturbances, each, strict=True)}

@@ -1,18 +1,22 @@
-"""The design problem of a vehicle: its plant (15) and the measurements of a controller, from named signals.
+"""Control problem of a vehicle: its plant (15) and the measurements of a controller, defined by named signals.
 
-The plant is the linear model with the weighted signals of `[performance]` as z. A controller may add the noise of its sensors and
-loads on the body, which are disturbances beside the road, and its actuators' lag, whose states join the vehicle's.
+The plant is the linear model of the vehicle, with the weighted signals of `[performance]` as z. A controller may add sensor
+noise and loads on the body, which are disturbances in addition to the road. A controller may also add actuator lag, whose
+states are added to those of the vehicle.
 
-An integral that z weighs is a state of the plant, and measured by whoever measures what it is of: a law integrates its readings
-as the plant does. So the first states of such a law are those of the plant, and its loop has them once (`integral_action.py`).
+If z weights an integral, the integral is a state of the plant. The integral counts as measured if its signals are measured,
+because a law can integrate its measurements like the plant does. The first states of such a law are then states of the plant,
+and the closed loop contains them only once (`integral_action.py`).
 
-A law for study measures heights over the datum of a flat road. These contain the road's height z_r, which acts through the law:
+A law in a theoretical study may measure heights above the datum of a flat road. These contain the road height z_r, which then
+acts through the law:
 
     x' = A x + B w + E z_r,    z = C x + D w + F z_r,    z_r' = w,
 
-of the loop. With xi = x + A^-1 E z_r this is xi' = A xi + (B + A^-1 E) w, z = C xi + D w + (F - C A^-1 E) z_r. So there is a norm
-if F = C A^-1 E: no lasting height of the road shows in z. It is then the norm of a loop of as many states. If the road has a
-filter that is 0 at 0 rad/s, z_r is a sum of the filter's states, which the law measures.
+where the matrices are those of the closed loop. With xi = x + A^-1 E z_r, this becomes xi' = A xi + (B + A^-1 E) w and z = C xi
++ D w + (F - C A^-1 E) z_r. A norm therefore exists if F = C A^-1 E, which means that a constant road height does not affect z.
+The norm is then that of a loop with the same number of states. If the road has a filter that is 0 at 0 rad/s, z_r is a sum of
+filter states, which the law measures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,17 +46,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Loop of a law, as a gain on a larger plant.
+    """Closed loop of a law, represented as a static gain on a larger plant.
 
     Attributes:
-        plant: plant with the law's states, except those that are states of the plant itself.
-        G: gain on it.
-        plant_without_law: the plant without the law's states.
-        states: names of its states.
-        law_states: number of the law's states behind them.
-        with_road_heights: the closed loop with the heights of the roads as its last states, if a lasting height shows in z.
-            Such a loop has no finite norm. None for others.
-        unbounded_outputs: entries of z in which a lasting height shows.
+        plant: plant with the states of the law, except those that are states of the plant itself.
+        G: static gain on this plant.
+        plant_without_law: plant without the states of the law.
+        states: names of the states of the plant without the law.
+        law_states: number of states of the law, which follow those of the plant.
+        with_road_heights: closed loop with the road heights as its last states, if a constant road height affects z. Such a
+            loop has no finite norm. None if constant heights do not affect z.
+        unbounded_outputs: indices of the entries of z that a constant road height affects.
     """
 
     plant: Plant
@@ -65,13 +69,16 @@ class ClosedLoop:
 
     @property
     def loop(self) -> Plant:
-        """The closed loop from w to z."""
+        """Closed loop from w to z."""
         return self.with_road_heights or self.plant.closed_loop(self.G)
 
     def certificate(
         self, X: Array | None = None, eta: float | None = None, lower_bound: "LowerBound | None" = None
     ) -> Certificate:
-        """Returns the certificate of the loop; arguments as for `certify`. A lasting height that shows in z has no bound."""
+        """Returns the certificate of the loop. The arguments are those of `certify`.
+
+        If a constant road height affects z, the norm is infinite and no bound exists.
+        """
         if self.with_road_heights is None:
             return certify(self.plant, self.G, X, eta, lower_bound, plant_without_law=self.plant_without_law)
         found = certify(self.plant, self.G, lower_bound=lower_bound, plant_without_law=self.plant_without_law)
@@ -80,19 +87,22 @@ class ClosedLoop:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The plant and measurements that a controller is designed for and judged with.
+    """Plant and measurements for which a controller is designed, and with which it is evaluated.
 
     Attributes:
-        plant: n states, m inputs, q measurements, r disturbances, of which loads and then the measurement noises are the last.
-        forces: input by index of each measurement that is a force without lag, and so independent of the state.
-        integrated: factors of the readings in each integral that is measured with them, shape (j, q - j); the integrals are the
-            last j measurements. None for j = 0.
-        integrals: states of the plant that are integrals, by index.
-        measured_integrals: integrals that are measured, in the order of `integrated`.
-        states: names of the plant's states.
-        of_heights: gain from the roads' heights to the measurements, shape (q, r), if these are integrals of the plant's
-            disturbance `rates`; None if no height over a datum is measured, or the heights are among the plant's states.
-        rates: the rates of the heights by states and disturbances of the plant.
+        plant: plant with n states, m inputs, q measurements and r disturbances. The last disturbances are loads, then
+            measurement noises.
+        forces: indices of the measurements that are forces without lag, and therefore independent of the state; each with the
+            index of its input.
+        integrated: factors of the measurements in each measured integral, shape (j, q - j). The integrals are the last j
+            measurements. None if j = 0.
+        integrals: indices of the states of the plant that are integrals.
+        measured_integrals: indices of the states that are measured integrals, in the order of `integrated`.
+        states: names of the states of the plant.
+        of_heights: gain from the road heights to the measurements, shape (q, r), if the heights are integrals of the
+            disturbances. None if no height above a datum is measured, or if the heights are states of the plant.
+        rates: matrices from the states and from the disturbances of the plant to the road velocities; None without
+            `of_heights`.
     """
 
     plant: Plant
@@ -106,35 +116,40 @@ class Problem:
 
     @property
     def state_measurements(self) -> list[int]:
-        """Indices of the measurements that are not in `forces`."""
+        """Indices of the measurements that depend on the state: all except those in `forces`."""
         return [i for i in range(len(self.plant.Cy)) if i not in self.forces]
 
     @property
     def of_states(self) -> Plant:
-        """The plant with the measurements C_y x + Dyw w, as designs know it, of those that are not in `forces`."""
+        """Plant with the measurements that depend on the state, C_y x + Dyw w, for which designs compute a law."""
         return self.plant.rows(self.state_measurements).without_feedthrough
 
     def closed_loop(self, law: LinearLaw) -> tuple[Plant, Feedback]:
-        """Returns the plant with a law's states, and the law as a gain on it; a discrete law by its Tustin counterpart.
+        """Returns the plant with the states of a law, and the law as a static gain on this plant.
+
+        A discrete law is represented by its continuous counterpart (Tustin's method).
 
         Raises:
-            InputError: the loop through the measurements has no solution, or the law no counterpart.
+            InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
         """
         judged = self.judged(law)
         return judged.plant, judged.G
 
     def on_readings(self, law: LinearLaw) -> LinearLaw:
-        """Returns the law on the readings of one on them and the measured integrals, which become its first states."""
+        """Converts a law on measurements and measured integrals to a law on the measurements alone.
+
+        The integrals become its first states.
+        """
         if self.integrated is None:
             return law
 
         return FEATURES.load("integral action").with_integrators(law, self.integrated)
 
     def judged(self, law: LinearLaw) -> "ClosedLoop":
-        """Returns the loop of a law on the readings, as its certificate is of.
+        """Returns the closed loop of a law on the measurements, to which the certificate of the law applies.
 
         Raises:
-            InputError: an error of `closed_loop`.
+            InputError: the algebraic loop has no solution, or a discrete law has no continuous counterpart.
         """
         law = law.continuous()
         if not self.integrals:
@@ -158,7 +173,7 @@ class Problem:
         return ClosedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
 
     def _over_datum(self, judged: ClosedLoop, of_heights: Array) -> ClosedLoop:
-        """Returns the loop of a law that measures heights; unchanged if it is not stable."""
+        """Returns the closed loop of a law that measures heights above a datum. An unstable loop is returned unchanged."""
         RETURNS = FEATURES.load("integral action").RETURNS
         assert self.rates is not None, "they come with the heights"
         plant, loop = judged.plant, judged.loop
@@ -167,7 +182,8 @@ class Problem:
         (n, r), (k, w) = (len(plant.A), plant.Bw.shape[1]), (of_heights.shape[1], self.rates[1].shape[1])
         C, D = np.eye(len(self.plant.A), n).T @ self.rates[0].T, np.eye(w, r).T @ self.rates[1].T
         K = judged.G.K[:, : len(of_heights)]
-        read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)  # gains that cancel leave rounding, of the size of terms
+        # Gains that cancel leave a rounding error relative to `terms`
+        read, terms = K @ of_heights, np.abs(K) @ np.abs(of_heights)
         E, F = plant.B @ read, plant.D @ read
         inverse = np.linalg.inv(loop.A)
         shift = inverse @ E
@@ -186,15 +202,16 @@ class Problem:
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: Plant | None = None) -> Problem:
-    """Returns the problem that a controller with these measured signals is designed for and judged with.
+    """Returns the control problem for which a controller with these measured signals is designed and evaluated.
 
     Args:
-        measured: the q signals.
+        vehicle: vehicle of the controller.
+        measured: names of the q measured signals.
         hardware: sensor noise, actuator lag and loads.
-        plant: `generalized_plant` for its actuators, if it is known already.
+        plant: `generalized_plant` of the vehicle for this hardware, if it is known.
 
     Raises:
-        InputError: a signal this vehicle has not.
+        InputError: the vehicle does not have a measured signal.
     """
     plant = plant or generalized_plant(vehicle, hardware.bandwidth, loads=hardware.loads)
     integrated = measured_integrals(vehicle, measured)
@@ -232,9 +249,10 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignCondition
 def _heights_read(
     vehicle: Vehicle, model: LinearModel, rows: Sequence[int], plant: Plant
 ) -> tuple[Array, Array, Array | None, tuple[Array, Array]]:
-    """Returns what measured heights add to Cy and Dyw, and `of_heights` and `rates` of a problem.
+    """Returns the contributions of measured heights to Cy and Dyw, and `of_heights` and `rates` of a `Problem`.
 
-    The warp of the road, a disturbance of its own, is part of the heights; the rest of them is the integral of the velocities.
+    The heights contain the warp of the road, which is a separate disturbance. The rest of the heights is the integral of the
+    road velocities.
     """
     Cr, road, directions = model.Cr[rows], vehicle.road_filter, road_twist_inputs(model)
     by_twist, by_height, r = Cr @ directions.T / model.twist_rate, Cr - Cr @ directions.T @ directions, Cr.shape[1]
@@ -248,7 +266,10 @@ def _heights_read(
 
 
 def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
-    """Returns the gain to the road's velocities, and then its warps, of a plant's states and of its disturbances."""
+    """Returns the matrices from a plant's states, and from its disturbances, to the road inputs.
+
+    The rows are the road velocities, followed by the road warps.
+    """
     model, road = vehicle.linear_model, vehicle.road_filter
     roads, n = len(model.disturbances) + len(road_twist_inputs(model)), len(plant.A)
     C, D = np.zeros((roads, n)), np.eye(roads, plant.Bw.shape[1])
@@ -260,12 +281,12 @@ def road_rates(vehicle: Vehicle, plant: Plant) -> tuple[Array, Array]:
 
 
 def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
-    """Returns those of a vehicle's weighed integrals whose signals are all measured."""
+    """Returns the integrals in z whose signals are all measured: the factor of each signal, by name of the integral."""
     return {name: terms for name, terms in vehicle.integrals.items() if set(terms) <= set(measured)}
 
 
 def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
-    """Returns the effect of loads on states and outputs, scaled to the loads that count as 1 m/s of w, shapes (n, l), (p, l)."""
+    """Returns the effect of loads that count as 1 m/s of w on states and outputs, shapes (n, l) and (p, l)."""
     some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
     return model.Bl[:, some] * scale, model.Dl[:, some] * scale
 
@@ -273,16 +294,18 @@ def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[A
 def generalized_plant(
     vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
 ) -> Plant:
-    """Returns the plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
+    """Returns the plant (15) of a vehicle: its linear model, with the weighted signals of `[performance]` as z (34)-(37).
 
-    The states of frequency-dependent weights and of the road filter follow those of the vehicle, of which the forces behind a lag
-    are the last.
+    The states of the vehicle come first; its last states are the forces after actuator lag. The states of frequency-dependent
+    weights and of the road filter follow.
 
     Args:
-        bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
-        acting: True to weight the acting control force behind a lag in z, as in the implemented system. Otherwise z weights the
-            requested force, which the controller decides.
-        loads: loads on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
+        vehicle: vehicle of the plant.
+        bandwidth: corner frequency of the actuator lag [rad/s]; None for forces without lag.
+        acting: True if z contains the force after the lag, as in the implemented system. Otherwise, z contains the requested
+            force, which the controller determines.
+        loads: loads on the body, each with the value that counts as 1 m/s of w. The loads are the last disturbances, after
+            those of the road.
     """
     model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
     _check_integrals(vehicle, model)
@@ -313,7 +336,7 @@ def generalized_plant(
     disturbances = append(*roads, *[gain(1.0)] * len(loads))
     if not over_datum:
         return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
-    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 instead of C.
+    # If w = F v with F(0) = 0, the road height F v / s has the same states as F, with C A^-1 instead of C.
     of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
     states = len(disturbances.A) // len(roads)
     height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
@@ -321,12 +344,12 @@ def generalized_plant(
 
 
 def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
-    """Returns the linear model behind an actuator's lag, with the integrals that z weighs as its last states."""
+    """Returns the linear model with actuator lag. Its last states are the integrals that z weights."""
     return vehicle.linear_model.behind_lag(bandwidth).with_integrals(vehicle.integrals)
 
 
 def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant:
-    """Returns the plant whose z has the integrals in its filters, of states that it has, too."""
+    """Adds to z the integrals that are part of its filters; they are states of the plant already."""
     if not vehicle.integrals:
         return plant
     C = plant.C.copy()
@@ -338,7 +361,7 @@ def _with_integrals(plant: Plant, vehicle: Vehicle, model: LinearModel) -> Plant
 
 
 def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
-    """Raises an InputError for the integral of a height, or of a signal that no force moves for long."""
+    """Raises an InputError if z contains the integral of a height, or of a signal that no constant force changes."""
     for name, terms in vehicle.integrals.items():
         what = f"[performance] weights the integral of {name.removeprefix('integral_of_')}"
         if heights := [signal for signal in terms if signal in model.heights]:
@@ -358,11 +381,11 @@ def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
             )
 
 
-SINGULAR = 1e-12  # relative: a smaller singular value of a balanced matrix is zero
+SINGULAR = 1e-12  # relative size below which a singular value of a balanced matrix counts as zero
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:
-    """Raises an InputError for a weighted height that no norm bounds, or that the warp of the road moves."""
+    """Raises an InputError if z contains a height that has no norm, or that the warp of the road changes."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
         raise InputError(f"[performance] {signal} has no norm, because this {vehicle.kind.name} responds to road warp; give 0")
@@ -378,7 +401,7 @@ def _system(one: "Filter | None") -> StateSpace:
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
-    """Returns the names of the states of a vehicle's plant: the vehicle's own, then those of its filters."""
+    """Returns the names of the states of a vehicle's plant: those of the vehicle, followed by those of its filters."""
     model = _design_model(vehicle, bandwidth)
     if not vehicle.filtered:
         return model.states
@@ -394,13 +417,15 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
 def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:
     """Returns C_y on the states of a vehicle's plant, shape (q, n), and the feedthrough of the forces, shape (q, m).
 
-    Filter states are not measured: they belong to the weights, not to the vehicle.
+    Filter states are not measured, because they belong to the weights and not to the vehicle.
 
     Args:
-        bandwidth: corner frequency of the actuator lag, as in `generalized_plant`; behind a lag the feedthrough is zero.
+        vehicle: vehicle of the plant.
+        signals: names of the q measured signals.
+        bandwidth: corner frequency of the actuator lag, as in `generalized_plant` [rad/s]. With lag, the feedthrough is zero.
 
     Raises:
-        InputError: a signal this vehicle has not.
+        InputError: the vehicle does not have a measured signal.
     """
     Cy, through = _design_model(vehicle, bandwidth).rows(signals)
     more = len(plant_states(vehicle, bandwidth)) - Cy.shape[1] if vehicle.filtered else 0
@@ -408,10 +433,10 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
 
 def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
-    """Returns the effect of the road's twist as a disturbance of its own, shapes (n, k) and (len(signals), k).
+    """Returns the effect of the road's warp as a separate disturbance, shapes (n, k) and (len(signals), k).
 
-    As an integral of the road's velocity a lasting twist is unbounded. As a disturbance beside the velocities it is bounded, and
-    scaled by the rate of wheel hop (`LinearModel.twist_rate`): the bound holds for both together.
+    As an integral of the road velocity, a constant warp would be unbounded. As a separate disturbance, the warp is bounded. The
+    warp is scaled by the rate of wheel hop (`LinearModel.twist_rate`), and the bound holds for warp and velocities together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)
@@ -420,7 +445,10 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
 
 
 def road_twist_inputs(model: LinearModel) -> Array:
-    """Returns the combinations of road heights under the wheels that act by their height, orthonormal, shape (k, r)."""
+    """Returns the road warps: combinations of the road heights under r wheels that act by their height.
+
+    The result is orthonormal, shape (k, r).
+    """
     by_road = [i for i, name in enumerate(model.outputs) if name not in model.heights]
     _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr[by_road]]))
     return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]

@@ -1,4 +1,4 @@
-"""Reports on a controller and its design in words, and on its loop as implemented also in records."""
+"""Text reports on a controller and its design, and text and JSON reports on its sampled-data loop."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,8 +23,8 @@ from synth.controller.controller import AnyController, Controller
 from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
-SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
-ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
+SAME = 10 * ABOVE  # relative difference of a norm between two machines; depends on the distance of its levels
+ROUTES_AGREE = 1e-6  # largest relative difference between a norm and the gain of an actual disturbance
 
 
 BOUND = Field[Certificate]("bound", lambda one: one.bound, NORM_DIGITS, key="bound")
@@ -39,9 +39,11 @@ APART = Field[SampledNorm]("difference", lambda one: one.gap, ".0e")
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay.
+    """Returns the norm of the sampled-data loop of a vehicle and a controller.
 
-    It is None, too, for a stable loop of a law for study that lets a lasting height of the road show in z, or measures its warp.
+    The result is None if `[implementation]` has neither sample period nor delay. The result is also None for a stable loop
+    without such a norm. This occurs only with laws for theoretical study: a constant road height affects z, or the law measures
+    the road's warp.
     """
     if vehicle.implementation.undelayed:
         return None
@@ -54,7 +56,11 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
 
 def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns False for a stable loop without a norm, and for measured heights with the warp of the road, which has no energy."""
+    """Returns True if the sampled-data loop can have a norm.
+
+    The sampled-data loop has no norm if the continuous loop is stable but has no norm, or if measured heights contain the
+    road's warp.
+    """
     model, norm = vehicle.linear_model, controller.certificate.norm.value
     heights = [model.outputs.index(name) for name in model.over_datum(controller.measured)]
     warped = np.abs(model.Cr[heights] @ road_twist_inputs(model).T).max(initial=0.0) > INTEGRATOR_POLE
@@ -62,7 +68,7 @@ def has_sampled_norm(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNorm | None, tuple[str, ...]]:
-    """Returns `norm_if_implemented`, or None and the reason, in words, why the law cannot be run at the sample period."""
+    """Returns `norm_if_implemented`; if the law cannot run at the sample period, returns None and a text with the reason."""
     try:
         return norm_if_implemented(vehicle, controller), ()
     except InputError as error:
@@ -70,7 +76,7 @@ def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNo
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
-    """Returns the norm as certificates hold it; empty if the norm is None or infinite."""
+    """Returns the norm in the form in which certificates contain it; empty if the norm is None or infinite."""
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 
@@ -80,20 +86,20 @@ PROOF = Record[SampledNorm](
     reached="reached",
     angle="angle",
     decided_within_a_period="inside",
-)  # of a finite norm
+)  # enclosure of a finite norm
 PROVED_NORM = Record[SampledNorm](
     **{SAMPLED_NORM: lambda norm: norm.value, f"{SAMPLED_NORM}_proof": PROOF.all(lambda norm: norm if norm.stable else None)}
 )
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """Returns the linear parts of an implementation, which its norm takes into account, in words."""
+    """Returns a text about the linear parts of an implementation, which its norm includes."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns the failures of a sampled norm, in words."""
+    """Returns texts of the failed checks of a sampled-data norm."""
     if norm is None or not norm.stable:
         return ()
     if norm.reached <= norm.upper and norm.gap <= ROUTES_AGREE:
@@ -104,9 +110,10 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns the certificate failures to ignore: instability of the continuous loop if the sampled loop is stable.
+    """Returns certificate failures to ignore: instability of the continuous loop, if the sampled-data loop is stable.
 
-    The sampled loop, if there is one, decides, as it is the one that drives.
+    If the vehicle file describes an implementation, the sampled-data loop decides, because it is the loop that runs in the
+    vehicle.
     """
     cured = norm is not None and norm.stable and not vehicle.implementation.undelayed
     return (certificate.stability.words,) if cured and not certificate.stable else ()
@@ -115,25 +122,26 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 def failures_of_sampled_loop(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
-    """Returns the failures of the loop as implemented: those of the continuous loop that sampling does not cure, and its own."""
+    """Returns texts of the failures of the sampled-data loop: those of the continuous loop that still apply, and its own."""
     excused = instability_cured_by_sampling(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
 def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """Returns a note if only sampling makes the loop stable."""
+    """Returns a note if the loop is stable only because of sampling."""
     return tuple(f"without sampling the loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
 
 
 def false_norm(
     record: Mapping[str, Any] | None, vehicle: Vehicle, norm_of_loop: Callable[[], SampledNorm | None]
 ) -> tuple[str, ...]:
-    """Returns the false claims of a record about the norm as implemented, in words.
+    """Returns texts of the false claims in a record about the norm of the sampled-data loop.
 
     Args:
-        record: a checked certificate; None for a controller without one.
-        vehicle: vehicle with the controller's implementation.
-        norm_of_loop: function that computes the norm (`norm_if_implemented`); called only if a norm is claimed.
+        record: checked certificate; None if the controller has no certificate.
+        vehicle: vehicle with the implementation of the controller.
+        norm_of_loop: function that computes the norm (`norm_if_implemented`). This function is called only if the record claims
+            a norm.
     """
     said = (record or {}).get(SAMPLED_NORM)
     if said is None:
@@ -148,12 +156,12 @@ def false_norm(
     return (f"{claimed}, but it is {NORM_AS_IMPLEMENTED.cell(norm)}{off} with {built_words(vehicle)}",)
 
 
-SETTLED_CHANGE = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
-SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
+SETTLED_CHANGE = 1e-2  # relative change over the last hundredfold of mu below which a gain is within 1e-4 of the limit
+SHORT = 1e-6  # relative gap in gamma below which the path counts as completed
 
 
 def law_text(law: LinearLaw) -> str:
-    """Returns a static law as its gain, and others by their equations, or their gains as a PI or PID law."""
+    """Returns a text of a law: the gain of a static law, otherwise its equations and, for a PI or PID law, its gains."""
 
     if not law.states:
         return f"gain {gain_text(law.D)}"
@@ -161,14 +169,14 @@ def law_text(law: LinearLaw) -> str:
 
 
 def pid_line(controller: Controller) -> str:
-    """Returns the gains of a designed PI or PID law, continuous or discrete, as in a vehicle file; empty for other laws."""
+    """Returns a text of the gains of a designed PI or PID law, as in a vehicle file; empty for other laws."""
     pid = FEATURES.load("PID laws")
     remarked = (remark.partition(pid.ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
     return next(filter(None, remarked), "") or pid.pid_text(controller.law)
 
 
 def sign_note(controller: Controller) -> str:
-    """Returns a note on the signs of a PI or PID law whose loop is unstable; empty of others, and without a positive gain."""
+    """Returns a note about signs if the loop of a PI or PID law with a positive gain is unstable; otherwise empty."""
     if controller.certificate.stable or not controller.law.states:
         return ""
     pid = FEATURES.load("PID laws")
@@ -178,9 +186,9 @@ def sign_note(controller: Controller) -> str:
 
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
-    """Returns a note on the second disturbance, road twist, if the vehicle has one."""
+    """Returns a note about road warp, which is a separate disturbance, if it affects the vehicle."""
     count, rate = len(road_twist_inputs(vehicle.linear_model)), rough(vehicle.linear_model.twist_rate)
-    # The weight of a body with a roll or a pitch axis acts by the road's inclination.
+    # For a body with a roll or a pitch axis, the weight acts in proportion to the inclination of the road.
     axes = {"roll_centre_height_front": "roll", "roll_centre_height": "roll", "pitch_centre_height": "pitch"}
     felt = [way for parameter, way in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if count > len(felt) else []
@@ -189,7 +197,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
+    """Returns notes about the ideal loop to which the numbers refer, if the vehicle file also describes an implementation."""
     names = [as_name(one.name) for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
     but = f", except for the {what} that {', '.join(names)} {'include' if len(names) > 1 else 'includes'}" if names else ""
@@ -201,7 +209,7 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
 
 
 def line_notes(vehicle: Vehicle) -> list[str]:
-    """Returns a note on the linearisation at equilibrium; empty for a vehicle without curves."""
+    """Returns a note about the linearisation at equilibrium; empty for a linear vehicle."""
     if not vehicle.parts.with_curve:
         return []
 
@@ -214,11 +222,11 @@ IDLE_INTEGRAL = (
     "the integral of this law leaves a pole at 0 in the loop, so there is no finite norm: no constant force changes the "
     "integrated signal permanently, or no force uses the integral"
 )
-INTEGRATOR_POLE = 1e-9  # relative; a pole this near to 0 is an integrator's
+INTEGRATOR_POLE = 1e-9  # relative distance from 0 below which a pole belongs to an integrator
 
 
 def _has_idle_integral(controller: Controller) -> bool:
-    """Returns True if a pole at 0 of a law is one of the loop that it closes."""
+    """Returns True if the law has a pole at 0 that remains a pole of the closed loop."""
     law, where = controller.law, controller.certificate.stability
     at_rest = 0.0 if law.sample_period is None else 1.0
     held = np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= INTEGRATOR_POLE * (1 + np.abs(law.A).max(initial=0.0)))
@@ -228,7 +236,7 @@ def _has_idle_integral(controller: Controller) -> bool:
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns notes on a law that is unstable by itself, its small margins, its integral and its anti-windup."""
+    """Returns notes about instability of the law itself, small margins, its integral and its anti-windup."""
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up when forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{rough(margins.growth)} 1/s){winds}"] if margins.growth else []
@@ -241,11 +249,11 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     return notes
 
 
-GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)  # [1/s], of a law that is unstable by itself
+GROWTH = Record[Controller](law_growth=lambda one: one.law.growth or OMITTED_KEY)  # growth rate of an unstable law itself [1/s]
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:
-    """Returns a note on the filters in z and w, if there are any, and on their poles."""
+    """Returns notes about the filters in z and w and their poles, if there are filters."""
     if not vehicle.filtered:
         return []
     texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
@@ -256,7 +264,8 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     if vehicle.integrals:
         names = list_names([name.removeprefix("integral_of_") for name in vehicle.integrals])
         lines.append(
-            f"designs that measure {names} have its integral as a state; norms of the sampled loop leave out this integral"
+            f"designs that measure {names} have its integral as a state; norms of the sampled-data loop do not include this "
+            "integral"
         )
     return lines
 
@@ -265,19 +274,19 @@ STUDY = "for study only: no sensor on a car measures heights over the datum of a
 
 
 def study_notes(vehicle: Vehicle, controller: AnyController) -> list[str]:
-    """Returns notes on a law for study: that no car can have it, and why it has no finite norm, if so."""
+    """Returns notes about a law for theoretical study: no car can measure its signals, and why it may have no finite norm."""
     if not vehicle.linear_model.over_datum(controller.measured):
         return []
     shows = controller.problem(vehicle).judged(controller.law).unbounded_outputs if controller.linear is True else ()
     names = list_names([vehicle.weighted[i].name for i in shows])
-    return [STUDY, *[f"no finite norm: a permanent height of the road causes a permanent {names}"] * bool(shows)]
+    return [STUDY, *[f"no finite norm: a constant road height causes a constant {names}"] * bool(shows)]
 
 
-FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the preview, which changes no pole and no margin"
+FEEDBACK_ALONE = "norm, bound and poles are those of the feedback without the preview. The preview changes no pole and no margin"
 
 
 def judged_lines(controller: Controller) -> list[str]:
-    """Returns notes on what a controller's norm and bounds include and leave out: noise, loads, lag, preview, a transform."""
+    """Returns notes about what a controller's norm and bounds include: noise, loads, lag, preview, a Tustin transform."""
     measured, hardware = controller.measured, controller.hardware
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in zip(measured, hardware.noise, strict=bool(hardware.noise)) if rms)
     loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
@@ -296,7 +305,7 @@ def judged_lines(controller: Controller) -> list[str]:
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
-    """Returns notes: degenerate problem, fallback method, distance from the optimum, redundant measurements."""
+    """Returns notes about the design: degenerate problem, fallback method, gap to the optimum, redundant measurements."""
     texts = [
         *judged_lines(controller),
         *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),
@@ -307,7 +316,7 @@ def notes(controller: Controller) -> tuple[str, ...]:
         texts.append(f"designed from a state feedback {gap} above its optimum, because the optimum leads to no design")
     if steps is not None and steps.optimum_gap > SHORT:
         gap = percent(steps.optimum_gap)
-        texts.append(f"the bound is {gap} above its optimum, which only gains too large for actuators reach")
+        texts.append(f"the bound is {gap} above its optimum, which only gains that are too large for actuators reach")
     elif steps is not None and steps.moved > SETTLED_CHANGE:
         texts.append(
             f"the gain did not converge: the last step of the central path changed it by {percent(steps.moved)} of its "

@@ -1,7 +1,7 @@
-"""The shortest sample period at which a loop is unstable.
+"""Sample-period margin: the shortest sample period at which a loop is unstable.
 
-The forces at which the loop is cut are sampled by a copy of the law. The others are in continuous time, by a copy of their own.
-Each copy has the states of the law that its forces depend on.
+A copy of the law samples the forces at which the loop is cut. Another copy of the law computes the other forces in continuous
+time. Each copy contains only the states of the law on which its forces depend.
 """
 
 import math
@@ -18,21 +18,22 @@ from models.laws.linear import LinearLaw
 from synth.plant.loop import HoldInterval, Loop
 from synth.plant.state_space import spectral_radius
 
-DECAYS = 1e-9  # of the fastest of a law: a mode that decays as slowly does not
-FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
-TOGETHER = 128  # sample periods of one batch
-MOST_SQUARINGS = 4  # times that a transition is, to see it contract
-CONTRACTS = 0.4  # norm of a power that does: no eigenvalue comes near the unit circle within a step
-SHALLOW = 0.2  # of the parabola's rise over a step: a minimum that lies higher is none of an instability
-SMALL = 1e-3  # of a step: to so much a minimum is looked for
-WIDEST = 1.0  # s; the largest step from one sample period to the next, where nothing turns any more
-LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
+DECAYS = 1e-9  # decay relative to the fastest rate of the law below which a mode counts as not decaying
+FINER = 0.05  # largest angle by which a pole turns between two sample periods that are tried [rad]
+TOGETHER = 128  # number of sample periods in one batch
+MOST_SQUARINGS = 4  # largest number of times that a transition matrix is squared to prove that it contracts
+CONTRACTS = 0.4  # norm of a power below which no eigenvalue reaches the unit circle within one step
+SHALLOW = 0.2  # height of a minimum, relative to the rise of the parabola over one step, above which it is no instability
+SMALL = 1e-3  # accuracy of the position of a minimum, relative to one step
+WIDEST = 1.0  # largest step from one sample period to the next, if no pole turns [s]
+LONGEST = 100.0  # longest sample period that is tried, if the vehicle does not settle without the loop [s]
 
 
 def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
-    """Returns True if all forces are sampled: if all are cut, if forces are measured, or if two copies would drift apart.
+    """Returns True if all forces must be sampled: if all are cut, if forces are measured, or if two copies would drift apart.
 
-    Copies drift apart if both have a mode that does not decay, as an integrator has: nothing measures their difference.
+    Two copies drift apart if both have a mode that does not decay, such as an integrator, because no measurement contains their
+    difference.
     """
     law, mine = loop.acting_law, np.isin(loop.forces, forces)
     if mine.all() or loop.plant.part(loop.measured, loop.forces).D.any():
@@ -42,7 +43,7 @@ def all_sampled(loop: Loop, forces: Sequence[str]) -> bool:
 
 
 def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
-    """Returns the loop of the forces that are sampled, in continuous time, around all that is not."""
+    """Returns the continuous loop of the sampled forces, whose plant contains the forces that stay continuous."""
     plant, law, mine = loop.plant.part(loop.measured, loop.forces), loop.acting_law, np.isin(loop.forces, forces)
     if all_sampled(loop, forces):
         return replace(loop, plant=plant)
@@ -52,27 +53,29 @@ def sampled_part(loop: Loop, forces: Sequence[str]) -> Loop:
 
 
 def sampled_growth_at(loop: Loop, period: float) -> float:
-    """Returns the spectral radius of a loop if it is sampled every period [s], less 1."""
+    """Returns the spectral radius minus 1 of a loop that is sampled with a period [s]."""
     return spectral_radius(replace(loop, hold=(HoldInterval(period, 0),)).closed_loop.A) - 1
 
 
 def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
-    """Returns the transitions of a loop if it is sampled, by powers of one exponential, shape (count, N, N).
+    """Returns the transition matrices of a loop for several sample periods, shape (count, N, N).
 
-    The periods are start + step, start + 2 step and so on [s]. A discrete law counts as its continuous counterpart here, at its
-    own sample period, too.
+    The matrices are powers of one matrix exponential.
+
+    The sample periods are start + step, start + 2 step and so on [s]. A discrete law is replaced by its continuous counterpart,
+    even at its own sample period.
     """
     plant, law = loop.plant.part(loop.measured, loop.forces), loop.acting_law
     (n, m), (k, q), C, D = plant.B.shape, law.B.shape, plant.C, plant.D
     held = _powers(np.vstack([np.hstack([plant.A, plant.B]), np.zeros((m, n + m))]), start, step, count)
-    # As in `LinearLaw.sampled`, but for the ramp, which is not over the period yet.
+    # Like `LinearLaw.sampled`, except that the ramp is divided by the period later.
     chain = np.zeros((k + 2 * q, k + 2 * q))
     chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
     periods = start + step * np.arange(1, count + 1)
     powers = _powers(chain, start, step, count)
     A, ramp = powers[:, :k, :k], powers[:, :k, k + q :] / periods[:, None, None]
     B, through = powers[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
-    # From [x; x_c; previous forces], which are states only where they are measured.
+    # Acts on [x; x_c; previous forces]. The previous forces are states only if they are measured.
     previous = m if np.any(D) else 0
     seen = np.hstack([C, np.zeros((q, k)), D[:, :previous]])
     forces = through @ seen
@@ -87,7 +90,7 @@ def transitions(loop: Loop, start: float, step: float, count: int) -> Array:
 
 
 def _needed_states(law: LinearLaw, forces: Array) -> Array:
-    """Returns the mask of the states that some forces depend on, directly or through other states, shape (k,)."""
+    """Returns a mask of the states on which some forces depend, directly or through other states, shape (k,)."""
     needed = np.any(law.C[forces] != 0, axis=0)
     for _ in range(law.states):
         needed = needed | np.any(law.A[needed] != 0, axis=0)
@@ -95,16 +98,16 @@ def _needed_states(law: LinearLaw, forces: Array) -> Array:
 
 
 def _part(law: LinearLaw, forces: Array) -> LinearLaw:
-    """Returns the law of some forces, with the states that they depend on."""
+    """Returns the part of the law that computes some forces, with the states on which they depend."""
     kept = _needed_states(law, forces)
     return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
 
 def _powers(A: Array, start: float, step: float, count: int) -> Array:
-    """exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
+    """Returns exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
     by, now = linalg.expm(A * step), linalg.expm(A * start)
     made = np.empty((count, *A.shape))
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law's own growth in long periods
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law may overflow in long periods
         for i in range(count):
             now = now @ by
             made[i] = now
@@ -112,11 +115,16 @@ def _powers(A: Array, start: float, step: float, count: int) -> Array:
 
 
 def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> float:
-    """Returns the shortest sample period at which a continuous loop is unstable [s], with some forces sampled, or infinity.
+    """Returns the shortest sample period at which a continuous loop is unstable with some forces sampled [s]; may be infinite.
 
-    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. In between, the
-    product of 1 - z_i z_j over all pairs of eigenvalues is smooth, and negative where the loop is unstable: its minima show
-    instabilities over less than a step. The result is 0 if a force comes back as large through its own measurement.
+    The search takes steps in the sample period that turn no pole by more than 0.05 rad, until all motion has decayed. The
+    product of 1 - z_i z_j over all pairs of eigenvalues is smooth between the steps, and negative if the loop is unstable. The
+    minima of this product show instabilities that last for less than one step. The result is 0 if a force returns through its
+    own measurement without loss.
+
+    Args:
+        loop: loop that is stable in continuous time.
+        forces: names of the sampled forces. Default: all forces.
     """
     forces = loop.forces if forces is None else tuple(forces)
     cut, part = loop.cut(forces), sampled_part(loop, forces)
@@ -126,11 +134,11 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
     poles = np.linalg.eigvals(cut.A)
     start = 0.0
     while start < LONGEST:
-        alive = np.abs(poles[-poles.real * start < 25])  # of the others e^-25 is left
+        alive = np.abs(poles[-poles.real * start < 25])  # the motion of all other poles has decayed to e^-25
         if len(alive) == 0:
             break
-        h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
-        begun = max(start - 2 * h, 0.0)  # for minima between two batches
+        h = FINER / max(float(alive.max()), FINER / WIDEST)  # the pole of an integrator at 0 does not turn
+        begun = max(start - 2 * h, 0.0)  # batches overlap, to find minima between them
         count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
         products = _products(transitions(part, begun, h, count))
         for i in range(count):
@@ -138,9 +146,9 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
             if products[i] > 0:
                 low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
                 first = _dip(part, first, h, products[i - 1 : i + 2]) if low else None
-            if first is not None and growth(first) > 0:  # not by rounding alone
-                before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
-                if growth(before) >= 0:  # a loop far faster than the plant: its rounding, or unstable before
+            if first is not None and growth(first) > 0:  # the loop is unstable, and not only by rounding of the product
+                before = max(first - h, 1e-3 * h)  # not 0, where every loop is marginal
+                if growth(before) >= 0:  # the loop is far faster than the plant: rounding, or unstable at a shorter period
                     return before
                 refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)
                 return float(refined)
@@ -149,7 +157,10 @@ def largest_sample_period(loop: Loop, forces: Sequence[str] | None = None) -> fl
 
 
 def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
-    """Returns the period next to one [s] at which the product is least, or None if the parabola through three is far above 0."""
+    """Returns the sample period near `period` at which the product is smallest [s].
+
+    The result is None if the minimum of the parabola through three products is far above 0.
+    """
     bend = products[0] - 2 * products[1] + products[2]
     lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
     if not lowest < SHALLOW * bend:
@@ -165,11 +176,11 @@ def _dip(loop: Loop, period: float, h: float, products: Array) -> float | None:
 
 
 def _products(transitions: Array) -> Array:
-    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues; infinite if the transition contracts soon.
+    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues z; infinite if a power of the matrix contracts.
 
-    It is minus infinity if an eigenvalue lies outside the unit circle, and NaN if entries are not finite.
+    The product is minus infinity if an eigenvalue is outside the unit circle, and NaN if entries are not finite.
     """
-    # A power that is smaller than 1 in norm has no such eigenvalue, and costs less than these.
+    # If a power of the matrix has a norm below 1, no eigenvalue is outside. Powers are cheaper than eigenvalues.
     left, power = np.arange(len(transitions)), transitions
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(MOST_SQUARINGS):

@@ -1,19 +1,20 @@
-"""The margins of a loop, predicted from where it is cut.
+"""Stability margins of a loop, predicted from the loop cut at some forces.
 
-Cut at some forces (`Loop.cut`), the loop L(s) = C (s I - A)^-1 B + D is on the verge of stability where an eigenvalue of L(j w)
-is 1. No margin is read off a frequency grid. With M = B C, and D = 0:
+The cut loop (`Loop.cut`) is L(s) = C (s I - A)^-1 B + D. The closed loop reaches the limit of stability if an eigenvalue of L(j
+w) is 1. No margin is read from a frequency grid. Let M = B C, and D = 0. With the Kronecker sum X (+) Y = kron(X, I) + kron(I,
+Y), the margins are computed as follows:
 
-- a gain factor k puts a pole of A + k M on the imaginary axis only if two poles of it add to zero, so only if
-  (A + k M) (+) (A + k M) is singular, with X (+) Y = kron(X, I) + kron(I, Y): a linear eigenvalue problem in k;
-- a phase lag z = exp(-j theta) does so only if (A + z M) (+) (A + conj(z) M) is singular, and conj(z) = 1 / z: a quadratic
-  eigenvalue problem in z, whose solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995). The delay theta / w makes
-  that lag, and of all crossovers the one with the smallest delay is the delay margin;
-- a phase lead is the rest of a whole turn: of all crossovers the one with the largest lag has the smallest lead;
-- a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) C on the unit circle, see
+- Gain: a factor k moves a pole of A + k M to the imaginary axis only if two poles add up to zero. This requires that
+  (A + k M) (+) (A + k M) is singular, which is a linear eigenvalue problem in k.
+- Phase lag: z = exp(-j theta) moves a pole to the axis only if (A + z M) (+) (A + conj(z) M) is singular. Since conj(z) = 1 /
+  z, this is a quadratic eigenvalue problem in z. The solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995).
+- Delay: a delay of theta / w causes the lag theta. The delay margin is that of the crossover with the smallest delay.
+- Phase lead: a lead is 2 pi minus the lag. The crossover with the largest lag therefore has the smallest lead.
+- Sample period: a period T is a limit if exp(A T) + (integral of exp(A s) ds B) C has an eigenvalue on the unit circle; see
   `sample_period_margin.py`.
 
-With D these problems involve more than one matrix, and candidates come from a fine grid. All candidates are then refined on the
-poles themselves.
+If D is not zero, the problems contain further matrices, and a fine grid gives the candidates. All candidates are then refined
+with the poles of the closed loop.
 """
 
 import itertools
@@ -31,20 +32,21 @@ from synth.controller.sample_period_margin import all_sampled, largest_sample_pe
 from synth.plant.loop import Loop
 from synth.plant.state_space import StateSpace
 
-LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
+LARGEST_FACTOR = 1e4  # a loop that tolerates this gain counts as unlimited, because rounding decides about larger factors
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
-SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
-ANGLES, FEWER_ANGLES = 4001, 501  # from no lag to a whole turn; odd, so that half a turn is among them
-MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
+SAME = 1e-6  # relative difference below which two factors are one; a double eigenvalue has only half the digits
+ANGLES, FEWER_ANGLES = 4001, 501  # numbers of angles from 0 to 2 pi; odd, so that pi is one of them
+# Largest number of states for the quadratic problem; with more, its matrix has over 500 rows: a grid is faster
+MOST_QUADRATIC = 18
 
 
 @dataclass(frozen=True)
 class Crossover:
-    """Frequency at which an eigenvalue of L(j w) has magnitude one.
+    """Frequency w at which an eigenvalue of L(j w) has the magnitude 1.
 
     Attributes:
-        frequency: w [rad/s]; infinite for a force that is in its own measurement and grows with any delay.
-        phase: lag that makes the eigenvalue 1, between 0 and 2 pi [rad].
+        frequency: frequency w [rad/s]; infinite for a force that grows through its own measurement with any delay.
+        phase: phase lag with which the eigenvalue becomes 1, between 0 and 2 pi [rad].
     """
 
     frequency: float
@@ -52,26 +54,26 @@ class Crossover:
 
     @property
     def delay(self) -> float:
-        """The delay that makes this lag [s]."""
+        """Delay that causes this phase lag [s]."""
         return self.phase / self.frequency
 
     @property
     def lead(self) -> float:
-        """The lead that makes the eigenvalue 1, too: the rest of a whole turn [rad]."""
+        """Phase lead with which the eigenvalue becomes 1, 2 pi minus the lag [rad]."""
         return 2 * math.pi - self.phase
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Predicted margins of a loop; infinite if any amount is stable.
+    """Predicted stability margins of a loop; infinite for an unlimited margin.
 
     Attributes:
         gain: smallest factor above 1 at which the loop is unstable.
-        gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is no such factor.
-        crossovers: all crossovers, by increasing delay; the first is the margin.
-        sample_period: shortest period at which the loop is unstable [s].
-        disk: disk margin: the complex factors that the loop tolerates.
-        all_sampled: True if that is with all forces sampled, and not only those at which the loop is cut.
+        gain_lower: largest factor below 1 at which the loop is unstable; 0 without such a factor.
+        crossovers: all crossovers, ordered by increasing delay. The first one gives the delay margin.
+        sample_period: shortest sample period at which the loop is unstable [s].
+        disk: disk margin, for complex factors on the forces.
+        all_sampled: True if `sample_period` applies to sampling of all forces, and not only of those at which the loop is cut.
     """
 
     gain: float
@@ -83,45 +85,53 @@ class Margins:
 
     @property
     def delay(self) -> float:
-        """The shortest delay at which it is unstable [s]."""
+        """Shortest delay at which the loop is unstable [s]; infinite without crossover."""
         return self.crossovers[0].delay if self.crossovers else math.inf
 
     @property
     def phase(self) -> float:
-        """The lag that this delay makes at its crossover [rad]."""
+        """Phase lag of the shortest delay at its crossover [rad]; infinite without crossover."""
         return self.crossovers[0].phase if self.crossovers else math.inf
 
     @property
     def frequency(self) -> float:
-        """Returns the first crossover's frequency [rad/s], or NaN without a crossover."""
+        """Frequency of the crossover with the shortest delay [rad/s]; NaN without crossover."""
         return self.crossovers[0].frequency if self.crossovers else math.nan
 
     @property
     def smallest_phase(self) -> float:
-        """The smallest lag of all crossovers [rad]: less than `phase` where a slower one needs less lag, but more delay."""
+        """Smallest phase lag of all crossovers [rad].
+
+        This lag is below `phase` if a crossover at a lower frequency needs less lag, but more delay.
+        """
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
     @property
     def leading(self) -> Crossover | None:
-        """The crossover with the smallest lead, or None without a crossover."""
+        """Crossover with the smallest phase lead; None without crossover."""
         return min((one for one in self.crossovers if math.isfinite(one.frequency)), key=lambda one: one.lead, default=None)
 
     @property
     def lead(self) -> float:
-        """The smallest lead of all crossovers [rad]; infinite without one."""
+        """Smallest phase lead of all crossovers [rad]; infinite without crossover."""
         return self.leading.lead if self.leading else math.inf
 
     @property
     def lead_frequency(self) -> float:
-        """Returns the frequency of that crossover [rad/s], or NaN without one."""
+        """Frequency of the crossover with the smallest lead [rad/s]; NaN without crossover."""
         return self.leading.frequency if self.leading else math.nan
 
 
 def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
-    """Returns all margins of a loop that is stable when closed, cut at some forces, by default at all.
+    """Returns all stability margins of a loop that is cut at some forces. The closed loop must be stable.
 
-    A loop that is sampled has no sample period among them. The bilinear map z = (1 + s) / (1 - s) takes the unit circle to the
-    imaginary axis, and the loop to one in continuous time with the same crossovers and disk margin, at other frequencies.
+    For a sampled-data loop, the sample-period margin is not computed. The bilinear map z = (1 + s) / (1 - s) maps the unit
+    circle to the imaginary axis. The same map turns the loop into a continuous loop with the same crossovers and disk margin at
+    other frequencies.
+
+    Args:
+        loop: closed loop, continuous or sampled.
+        forces: names of the forces at which the loop is cut. Default: all forces.
     """
     forces = loop.forces if forces is None else tuple(forces)
     cut = loop.cut(forces)
@@ -142,17 +152,18 @@ def margins(loop: Loop, forces: Sequence[str] | None = None) -> Margins:
 
 
 def bilinear(cut: StateSpace) -> StateSpace:
-    """Returns the image of a system from sample to sample under z = (1 + s) / (1 - s), which has no direct path."""
+    """Returns the continuous image of a discrete system without feedthrough for z = (1 + s) / (1 - s)."""
     inverse = np.linalg.inv(np.eye(len(cut.A)) + cut.A)
     A, B, C = inverse @ (cut.A - np.eye(len(cut.A))), inverse @ cut.B, 2 * cut.C @ inverse
     return replace(cut, A=A, B=B, C=C, D=-cut.C @ B, dt=None)
 
 
 def gain_crossings(cut: StateSpace) -> list[float]:
-    """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
+    """Returns the gain factors between 0 and `LARGEST_FACTOR` at which the loop changes between stable and unstable.
 
-    Beyond the factor that makes the spectral radius of the direct path one, no loop that is built is stable, as the least delay
-    shows. Where that is below 1 the loop is one on paper only, and factors are of that.
+    With feedthrough, a factor for which the spectral radius of the feedthrough reaches 1 is a limit, too. Beyond this factor,
+    any delay makes the loop unstable. If this factor is below 1, the loop is only theoretical, and factors beyond it are
+    returned.
     """
     n = len(cut.A)
     if cut.dt is not None:
@@ -165,7 +176,7 @@ def gain_crossings(cut: StateSpace) -> list[float]:
             return float(np.linalg.eigvals(cut.loop_matrix(k)).real.max())
 
     if np.any(cut.D):
-        # A force that is in its own measurement, k D of it, grows by that at every turn once this takes any time at all.
+        # A force that is in its own measurement with the factor k D grows with any delay if k D reaches 1.
         radius = cut.feedthrough_radius
         turned = 1 / max(radius, 1 / LARGEST_FACTOR) if radius < 1 else math.inf
         changes = _sign_changes(growth, FACTORS)
@@ -174,11 +185,11 @@ def gain_crossings(cut: StateSpace) -> list[float]:
         return _sign_changes(growth, FACTORS)
     closed, M = cut.loop_matrix(1.0), cut.B @ cut.C
     if cut.dt is None:
-        # From the closed loop, which is stable: with k = 1 + d, S + d T is singular where -1 / d is an eigenvalue of S^-1 T.
+        # Starts from the stable closed loop. With k = 1 + d, S + d T is singular if -1 / d is an eigenvalue of S^-1 T.
         S, T = (_kronecker_sum(X, X) for X in (closed, M))
         inverses = -np.linalg.eigvals(np.linalg.solve(S, T))
     else:
-        # kron(A + k M, A + k M) has the eigenvalue 1: with k = 1 + d, a quadratic problem in d.
+        # kron(A + k M, A + k M) must have the eigenvalue 1. With k = 1 + d, this is a quadratic problem in d.
         constant = np.kron(closed, closed) - np.eye(n * n)
         linear, square = np.kron(closed, M) + np.kron(M, closed), np.kron(M, M)
         first, second = np.linalg.solve(constant, linear), np.linalg.solve(constant, square)
@@ -188,9 +199,9 @@ def gain_crossings(cut: StateSpace) -> list[float]:
 
 
 def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
-    """Every crossover at a frequency above zero, by the delay that it allows."""
-    # The pencil has squares of the loop's numbers in it, so that states in unlike units, as a lagged force in N beside metres,
-    # would hide solutions. A crossover is cheap to verify and a missing one is not, so a grid is searched, too.
+    """Returns every crossover at a frequency above zero, ordered by delay."""
+    # The pencil contains squares of the loop's entries. If the units of states differ (a lagged force in N, a position in m),
+    # rounding may hide solutions. Verifying a crossover is cheap, but missing one is not. A grid is therefore searched, too.
     quadratic = not np.any(cut.D) and len(cut.A) <= MOST_QUADRATIC
     candidates = _of_the_pencil(_balance_loop(cut)) if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if cut.feedthrough_radius >= 1 else []
@@ -198,19 +209,19 @@ def crossovers(cut: StateSpace) -> tuple[Crossover, ...]:
 
 
 def _balance_loop(cut: StateSpace) -> StateSpace:
-    """Returns a cut loop with its states in units that make its numbers of a like size, powers of two."""
+    """Returns a cut loop whose states have units (powers of two) that make its entries similar in size."""
     _, (scale, _) = linalg.matrix_balance(np.abs(cut.A) + np.abs(cut.B @ cut.C), permute=False, separate=True)
     return replace(cut, A=cut.A * scale / scale[:, None], B=cut.B / scale[:, None], C=cut.C * scale)
 
 
 def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
-    """Crossovers by the quadratic eigenvalue problem, see the top."""
+    """Returns crossovers from the quadratic eigenvalue problem in the module docstring."""
     A, M, identity = cut.A, cut.B @ cut.C, np.eye(len(cut.A))
     # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
     S, size = _kronecker_sum(A, A), len(A) ** 2
     eye, zero = np.eye(size), np.zeros((size, size))
     pencil = np.block([[zero, eye], [-np.kron(identity, M), -S]]), np.block([[eye, zero], [zero, np.kron(M, identity)]])
-    with np.errstate(divide="ignore", invalid="ignore"):  # infinite eigenvalues: M has no full rank
+    with np.errstate(divide="ignore", invalid="ignore"):  # eigenvalues are infinite, because M does not have full rank
         solutions = linalg.eigvals(*pencil)
     solutions = solutions[np.isfinite(solutions)]
 
@@ -224,7 +235,7 @@ def _of_the_pencil(cut: StateSpace) -> list[Crossover | None]:
 
 
 def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
-    """Returns the distinct crossovers by increasing delay."""
+    """Returns the distinct crossovers, ordered by increasing delay."""
     different: list[Crossover] = []
     for one in candidates:
         if one and not any(math.isclose(one.delay, other.delay, rel_tol=1e-7) for other in different):
@@ -233,9 +244,9 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
 
 
 def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover | None]:
-    """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
+    """Returns crossovers between neighbouring phase lags of a fine grid for which the number of unstable poles differs."""
     angles = np.linspace(0, 2 * np.pi, count)
-    # A lag and what it lacks of a whole turn have poles that are each other's conjugates.
+    # The poles for the lag 2 pi - theta are the complex conjugates of those for theta.
     half = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angles[: count // 2 + 1])))
     poles = np.concatenate([half, half[-2::-1].conj()])
     unstable = np.sum(np.real(poles) > 0, axis=1)
@@ -245,17 +256,17 @@ def _crossings_on_a_grid(cut: StateSpace, count: int = ANGLES) -> list[Crossover
         pairs = optimize.linear_sum_assignment(np.abs(before[:, None] - after))
         crossing = np.zeros(len(before), dtype=bool)
         crossing[pairs[0]] = (before[pairs[0]].real > 0) != (after[pairs[1]].real > 0)
-        # Two poles that meet on their way may be taken for each other: they are then next to the axis.
+        # Poles whose paths cross may be confused. The poles nearest to the axis are therefore candidates, too.
         crossing[np.argsort(np.abs(before.real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]] = True
         crossings += [_refine_crossover(cut, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
     return crossings
 
 
 def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover | None:
-    """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
+    """Returns the exact crossover near a phase lag and a pole; None if the pole only comes close to the axis."""
 
     def nearest(angle: float) -> complex:
-        if not abs(angle - theta) < 1:  # a secant that is next to flat leads anywhere
+        if not abs(angle - theta) < 1:  # a nearly flat secant leads far away
             return complex(math.nan)
         poles = np.linalg.eigvals(cut.loop_matrix(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
@@ -271,18 +282,19 @@ def _refine_crossover(cut: StateSpace, theta: float, pole: complex) -> Crossover
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
-    """X (+) Y: its eigenvalues are all sums of one of X and one of Y."""
+    """Returns X (+) Y, whose eigenvalues are all sums of an eigenvalue of X and an eigenvalue of Y."""
     identity = np.eye(len(X))
     return np.kron(X, identity) + np.kron(identity, Y)
 
 
 def _sign_changes(growth: Callable[[float], float], tried: Array) -> list[float]:
-    """The positive ones of the candidates at which a growth really changes its sign, refined to 1e-13."""
+    """Returns the positive candidates at which the growth changes its sign, refined to 1e-13."""
     changes = []
     candidates = np.unique(tried[(tried > 1 / LARGEST_FACTOR) & (tried < LARGEST_FACTOR)])
-    # A pair of poles gives one twice, which rounding may tell apart: midway between those the growth is none, and has no sign.
+    # A pair of poles gives the same factor twice, up to rounding. Between the two, the growth is zero and its sign is
+    # undefined.
     candidates = candidates[np.diff(candidates, append=np.inf) > SAME * candidates]
-    # Between two neighbours nothing changes, so midway between them the sign is safe from rounding.
+    # The growth changes its sign only at candidates. In the middle between two of them, rounding does not affect the sign.
     middles = [float(np.sqrt(a * b)) for a, b in itertools.pairwise(candidates)]
     edges = [candidates[0] * 0.9, *middles, candidates[-1] * 1.1] if len(candidates) else []
     for low, high in itertools.pairwise(edges):

@@ -1,1 +1,1 @@
-"""Problems (22) and (25): barriers, central paths, and solutions by Clarabel."""
+"""Solution of the LMI problems (22) and (25): logarithmic barriers, central paths, and the solver Clarabel."""

@@ -1,20 +1,20 @@
-"""The central path of the design problem, followed to its limit: a unique optimal solution.
+"""Central path of the design problem, followed to its limit, which is a unique optimal solution.
 
-The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). So gamma is unique, but the gain is not: an
-interior-point solver returns a point of the face that depends on its scaling and tolerance. The limit of
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). The value gamma is therefore unique, but the gain is
+not. An interior-point solver returns a point of this face that depends on its scaling and tolerance. The limit for mu -> 0 of
 
-    maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,
+    maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta))
 
-is unique. It depends neither on a solver nor on state coordinates, input units or the time unit: these only add constants to the
-logarithms. The paper prints this limit.
+is unique. The limit depends neither on a solver nor on state coordinates, input units or the time unit, because these only add
+constants to the logarithms. The gains published in the paper are this limit.
 
-The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent
-in mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads X =
-diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. At each point of the path the coordinates are
-changed so that X = I and, with the current gain absorbed in the plant, Y = 0.
+The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11), with a predictor step along its
+tangent in mu. Two changes of coordinates keep all numbers near 1. In the state coordinates T = [Q R], equation (12) becomes X =
+diag(X_Q, X_R) and Y = [0 Y_R]. State feedback is the case of an empty Q and R = I. At each point of the path, the coordinates
+are changed again so that X = I and Y = 0, where the plant absorbs the current gain.
 
-For a discrete plant, log det of the bordered matrix of `certificate.py` replaces the last two logarithms: it contains both. As
-the step falls, this path tends to that of the continuous plant.
+For a discrete plant, log det of the larger matrix of `certificate.py` replaces the last two logarithms, because it contains
+both. As the sample period decreases, this path approaches that of the continuous plant.
 """
 
 import contextlib
@@ -42,19 +42,21 @@ if TYPE_CHECKING:
     from synth.lmi.unobservable import UnobservableReduction
 
 LIMIT = 1e-9
-"""Value of mu / eta at which the path ends: for the paper's problem, gains are within 3e-6 of the limit."""
+"""Value of mu / eta at which the path ends. For the paper's problem, the gains are then within 3e-6 of the limit."""
 
 
-CENTRE_DECREMENT = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
-RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu / eta of the points computed
-FIRST = 1.0  # mu / eta of the first point, far from any optimum
-FAR = 1e5  # condition of X, once I, from which new coordinates are taken
-MOST_MOVES = 12  # changes of coordinates at one point; if X still grows, no centre exists
-DENSE = 200  # unknowns up to which a dense basis is quicker, as it takes fewer calls
-MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
-MOST_BORDERED = 600  # unknowns of a discrete plant, whose matrices are larger and treated as dense
+CENTRE_DECREMENT = 1e-6  # Newton decrement at the points of the path; small enough for the dual solutions of lower bounds
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # values of mu / eta at which points are computed
+FIRST = 1.0  # mu / eta of the first point, far from the optimum
+FAR = 1e5  # condition number of X above which new coordinates are chosen; X = I directly after a change of coordinates
+MOST_MOVES = 12  # largest number of coordinate changes at one point; if X still grows, no point on the path exists
+DENSE = 200  # number of unknowns up to which a dense basis is faster, because it needs fewer calls
+# Largest number of unknowns, for example 62 states with one input: a path takes half a minute. Time grows with the cube of this
+# number, and memory with its square.
+MOST = 2000
+MOST_BORDERED = 600  # largest number of unknowns for a discrete plant, whose matrices are larger and treated as dense
 LARGEST_Y = 10.0  # bound on |Y| in the search for a feasible point
-INSIDE = 0.95  # share of the distance to the boundary that a predictor step takes at most
+INSIDE = 0.95  # longest predictor step, as a fraction of the distance to the boundary
 BREAKS_OFF = (
     "rounding errors stop it, as happens if only an infinite gain reaches the optimum; weight the control force more, or give "
     "other units"
@@ -63,14 +65,14 @@ BREAKS_OFF = (
 
 @dataclass(frozen=True, eq=False)
 class CentralPoint:
-    """A strictly feasible point on the central path.
+    """Strictly feasible point on the central path.
 
     Attributes:
-        X: shape (n, n), by (12).
-        K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
-        eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
-        mu: the parameter of the path, relative to eta.
-        proof: an X that proves the bound if X itself does not, because of states that are unobservable in z; else None.
+        X: matrix of (12), shape (n, n).
+        K: gain Y_R X_R^-1 of (13), shape (m, q). K acts on the q coordinates that R spans.
+        eta: gamma^-2 of the point. The optimal eta is higher by at most (2 n + d) mu.
+        mu: parameter of the path, relative to eta.
+        proof: an X that proves the bound, if `X` itself does not because of states that are unobservable in z; else None.
     """
 
     public_name = "a point of a central path"
@@ -83,16 +85,17 @@ class CentralPoint:
 
     @property
     def gamma(self) -> float:
-        """The bound eta^-1/2 that this point proves, (23) and (26)."""
+        """Bound gamma = eta^-1/2 that this point proves, as in (23) and (26)."""
         return self.eta**-0.5
 
     def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
         """Returns the point in other units.
 
         Args:
-            states: present unit of each state, in the new one, shape (n,).
-            inputs: present unit of each input, in the new one, shape (m,).
-            measured: units of the q inputs of K, shape (q,); or S, if the new inputs of K are S times the present ones, (q, q).
+            states: present unit of each state, expressed in the new unit, shape (n,).
+            inputs: present unit of each input, expressed in the new unit, shape (m,).
+            measured: present unit of each of the q inputs of K, expressed in the new unit, shape (q,). Alternatively a matrix S
+                of shape (q, q), if the new inputs of K are S times the present inputs.
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -102,27 +105,32 @@ class CentralPoint:
 
 
 def central_path(plant: Plant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
-    """Returns points along the central path of (25), or of (22) with an empty Q and R = I. The last is the design.
+    """Returns points along the central path of (25), or of (22) if Q is empty and R = I. The last point is the design.
 
     Args:
-        Q: shape (n, n - q).
-        R: shape (n, q); [Q R] is regular.
-        mu: end of the path, relative to eta. The default is its limit; a larger mu ends further from the optimum.
+        plant: plant with n states and m inputs.
+        Q: matrix of shape (n, n - q).
+        R: matrix of shape (n, q), such that [Q R] is regular.
+        mu: value of mu / eta at the end of the path. The default is close to the limit; a larger value ends farther from the
+            optimum.
 
     Returns:
-        Points with eta > 0 by falling mu, each mu a tenth to a hundredth of the previous one.
+        Points with eta > 0 in order of decreasing mu. Each mu is a tenth to a hundredth of the previous mu.
 
     Raises:
         InputError: no disturbance acts on the plant, or no signal is weighted.
         NoSolutionError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
-        DesignError: Newton's method failed before mu.
+        DesignError: Newton's method failed before it reached mu.
     """
     return list(along_path(plant, Q, R, mu))
 
 
 def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralPoint]:
-    """Yields the points of `central_path` one by one, so that the first ones are available if the last cannot be reached."""
+    """Yields the points of `central_path` one by one.
+
+    The first points are therefore available even if the path cannot be completed.
+    """
     if plant.dt is None:
         yield from _in_differences(plant, Q, R, mu, 0.0)
     else:
@@ -131,14 +139,14 @@ def along_path(plant: Plant, Q: Array, R: Array, mu: float) -> Iterator[CentralP
 
 
 def _in_differences(plant: Plant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
-    """Yields the points for a plant in differences over a step; a step of 0 means a continuous plant."""
+    """Yields the points for a plant in differences over a step [s]; a step of 0 means a continuous plant."""
     check_posed(plant.unmeasured)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = None
     if hides_stable_states(plant, np.hstack([Q, R]), step):
         part = FEATURES.load("unobservable states").remove_unobservable(plant, Q, R, step)
-    if part is not None:  # X may grow there without bound: the path is that of the other states
+    if part is not None:  # X may grow without bound along these states, so the path is computed for the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
@@ -164,7 +172,7 @@ def _border(step: float) -> str:
 
 
 def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoint:
-    """Returns a point of the path without the unobservable states as a point for the whole plant."""
+    """Converts a point of the path without the unobservable states to a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.completed_x(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
@@ -173,14 +181,14 @@ def _put_back(part: "UnobservableReduction", point: CentralPoint) -> CentralPoin
 
 
 def unknowns(plant: Plant, free: int = 0) -> int:
-    """Returns the number of unknowns of (22), or of (25) with `free` columns of Q."""
+    """Returns the number of unknowns of (22), or of (25) if Q has `free` columns."""
     n, m = len(plant.A), plant.independent_inputs().shape[1]
     q = n - free
     return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
 
 
 def fits(count: int, most: int, what: str) -> None:
-    """Raises a TooLargeError if there are more unknowns than the method, `what`, takes."""
+    """Raises a TooLargeError if the number of unknowns exceeds the limit of the method `what`."""
     if count > most:
         raise TooLargeError(
             f"the LMI problem has {count} unknowns, but {what} allows at most {most}; remove states from the model"
@@ -188,18 +196,18 @@ def fits(count: int, most: int, what: str) -> None:
 
 
 class _Path:
-    """The current point of a central path, and its coordinates."""
+    """Current point of a central path, and the coordinates of this point."""
 
     def __init__(self, plant: Plant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
-        # Inputs without effect stay zero, and linearly dependent inputs share their effect.
+        # Inputs without effect stay zero. Linearly dependent inputs share their effect.
         self.inputs = plant.independent_inputs()
         plant = plant.with_inputs(self.inputs).in_coordinates(T)
-        # For numerics only: states scaled by their controllability, and units in which A, B, Bw, C have size one.
+        # For numerical accuracy only: states are scaled by their controllability, and units make A, B, Bw and C have size 1.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
-        # For A = 0 the rate is that at which motion and force have equal weight in z.
+        # If A = 0, the rate is chosen so that motion and force have equal weight in z.
         self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
         self.step = step * self.rate
         self.input_unit = self.rate / size(plant.B)
@@ -210,24 +218,27 @@ class _Path:
         system[n:] *= self.output_unit
         system[:, n : n + m] *= self.input_unit
         system[:, n + m :] *= self.disturbance_unit
-        self.basis = Basis(system, n, m, self.free, self.step)  # of the plant in the current coordinates
-        self.start = T @ scaling  # from the initial coordinates to the user's
+        self.basis = Basis(system, n, m, self.free, self.step)  # basis of the unknowns for the plant in the current coordinates
+        self.start = T @ scaling  # from the initial coordinates of the path to the coordinates of the user
         self.block_start = scaling[self.free :, self.free :]
         self.V = np.eye(len(T))  # from the current coordinates to the initial ones
-        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in the initial coordinates
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # gain that the plant has absorbed so far, in the initial coordinates
         self.eta = 0.0
 
     @property
     def plant(self) -> Plant:
-        """The plant in the current coordinates."""
+        """Plant in the current coordinates."""
         return self.basis.plant
 
     def find_feasible_point(self) -> None:
-        """Finds a strictly feasible point, or raises if none exists.
+        """Finds a strictly feasible point.
 
-        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): small enough, any such pair
-        satisfies (24) with some eta > 0. So s is minimised subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s <
-        0.
+        Feasible points exist if and only if He(A X + B Y) < 0 has a solution with the structure (12). If such a pair is scaled
+        down enough, it satisfies (24) with some eta > 0. The method therefore minimises s subject to He(A X + B Y) < s I, 0 < X
+        < I, |Y| < LARGEST_Y, until s < 0.
+
+        Raises:
+            NoSolutionError: there is no feasible point, up to rounding.
         """
         basis, n, m = self.basis, self.basis.n, self.basis.m
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
@@ -242,7 +253,7 @@ class _Path:
                 break
             mu /= 10
             if mu < 1e-10:
-                # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
+                # On the path, s exceeds its infimum by at most (number of rows) mu. The infimum is therefore 0 up to rounding.
                 raise NoSolutionError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
                     f"definite (its largest eigenvalue is at least {p[-1]:.0e}, in units of |A||X|)"
@@ -261,11 +272,15 @@ class _Path:
         self._move_to(X, Y)
 
     def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
-        """Returns a pair with He(A X + B Y) < 0, scaled to satisfy (24), and the largest eta that it then allows."""
+        """Scales a pair with He(A X + B Y) < 0 so that it satisfies (24).
+
+        Returns:
+            X, Y and the largest eta that (24) allows with them.
+        """
         plant, n, k = self.plant, self.basis.n, len(self.basis.system)
 
         def inner() -> Array:
-            """Returns the matrix of (24), the border of a step eliminated by its Schur complement."""
+            """Returns the matrix of (24). For a discrete plant, the additional rows are eliminated by a Schur complement."""
             F = bounded_real_matrix(plant, X, Y, 0.0, self.step)
             return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
 
@@ -282,14 +297,14 @@ class _Path:
         return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
-        """Follows the path to mu = mu_end eta; yields the points at `RESTS`.
+        """Follows the path until mu = mu_end eta, and yields the points at `RESTS`.
 
-        There mu / eta is fixed, not mu: log(eta) eta / mu replaces eta / mu. So the points, some of which are designs or define
-        L (14), depend neither on units nor on the first point.
+        At these points, mu / eta is fixed instead of mu: log(eta) eta / mu replaces eta / mu. The points are therefore
+        independent of units and of the first point. Some of them are designs, or define L (14).
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
-        if here is None:  # infeasible by rounding
+        if here is None:  # the starting point is infeasible because of rounding
             raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
             p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRE_DECREMENT, self._far, here)
@@ -307,7 +322,7 @@ class _Path:
             if rest <= mu_end:
                 return
             following = next_rest(rest, mu_end)
-            # A step along the tangent of the path in mu that stays feasible.
+            # Step along the tangent of the path in mu that stays feasible
             step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
             step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
             moved = next(filter(None, (self._moved(p + part * step, following) for part in (1.0, 0.5, 0.1, 0.0))), None)
@@ -316,16 +331,19 @@ class _Path:
             rest, (barrier, start, here) = following, moved
 
     def _entered(self, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives | None]:
-        """Returns the barrier of a rest in the current coordinates, the current point, and its derivatives if feasible."""
+        """Returns the barrier for a value of mu / eta, the current point, and the derivatives there (None if infeasible)."""
         barrier, n, m = WithLogTerm(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
 
     def _moved(self, p: Array, rest: float) -> tuple[WithLogTerm, Array, FactoredDerivatives] | None:
-        """Changes to the coordinates of a point and returns `_entered`; None, unchanged, if rounding makes it infeasible."""
+        """Changes to the coordinates of the point p, and returns `_entered`.
+
+        If rounding makes the point infeasible, returns None and leaves the coordinates unchanged.
+        """
         before = self.V, self.K, self.basis, self.eta
         X, Y, self.eta = self.basis.unpack(p)
-        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # singular, or out of range
+        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # a matrix is singular, or a number is out of range
             self._move_to(X, Y)
             barrier, start, here = self._entered(rest)
             if here is not None:
@@ -334,12 +352,12 @@ class _Path:
         return None
 
     def _far(self, p: Array) -> bool:
-        """Returns True if X is so far from I that new coordinates are needed."""
+        """Returns True if X differs so much from I that new coordinates are needed."""
         sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
         return bool(sizes[-1] > FAR * sizes[0])
 
     def _barrier(self) -> Derivatives:
-        """Returns the barrier of (24) and X > 0."""
+        """Returns the barrier of (24) and of X > 0."""
         basis, n = self.basis, self.basis.n
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
@@ -348,7 +366,7 @@ class _Path:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """Returns the barrier of the search for a feasible point, in which the last unknown is s."""
+        """Returns the barrier for the search for a feasible point. The last unknown is s."""
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
             return FEATURES.load("large plants").start_barrier(self.plant, self.free, LARGEST_Y)
@@ -368,10 +386,10 @@ class _Path:
         )
 
     def point(self, X: Array, Y: Array, rest: float) -> CentralPoint:
-        """Returns a pair in the current coordinates as a point in the user's coordinates and units."""
+        """Returns a pair in the current coordinates as a point in the coordinates and units of the user."""
         T = self.start @ self.V
         return CentralPoint(
-            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
+            X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the unit of X follows from (21)
             K=self.inputs @ self._gain(X, Y) @ np.linalg.inv(self.block_start) * self.input_unit,
             eta=self.eta * (self.disturbance_unit * self.output_unit) ** 2,
             mu=rest,
@@ -382,7 +400,7 @@ class _Path:
         a, n, m = self.free, self.basis.n, self.basis.m
         S = np.zeros_like(X)
         S[:a, :a], S[a:, a:] = np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:])
-        # `fed_back` keeps the digits of A + B G if the gain cancels much of A.
+        # `fed_back` preserves the digits of A + B G, even if the gain cancels most of A.
         system = self.basis.system.copy()
         system[:, :n] = fed_back(system[:, :n], system[:, n : n + m], Y @ np.linalg.inv(X))[0] @ S
         system[:n] = lapack.dtrtri(S, lower=1)[0] @ system[:n]  # pyright: ignore[reportAttributeAccessIssue]
@@ -392,11 +410,14 @@ class _Path:
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Returns Y_R X_R^-1 plus the gain absorbed so far, in the initial coordinates."""
+        """Returns Y_R X_R^-1 plus the gain that the plant has absorbed so far, in the initial coordinates."""
         a = self.free
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
 def next_rest(mu: float, mu_end: float) -> float:
-    """Returns the next mu / eta of `RESTS`, or one that leads to mu_end: the same values for every plant."""
+    """Returns the next value of mu / eta on the path: a value of `RESTS`, or a value that leads to mu_end.
+
+    `RESTS` are the same for every plant.
+    """
     return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)

@@ -1,10 +1,10 @@
-"""Lower bounds on output feedback of any order: the Gahinet-Apkarian LMIs, their central path, and the bound it proves.
+"""Lower bounds on the norm for output feedback of any order, from the central path of the Gahinet-Apkarian LMIs:
 
     minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
-(`synthesis_inequality.py` and `lower_bound.py` derive them, and prove the bound). The path is followed as in `central_path.py`,
-in coordinates where X = S = I. State feedback has only the inequality of the plant.
+`synthesis_inequality.py` and `lower_bound.py` derive these LMIs and prove the bound. The path is followed as in
+`central_path.py`, in coordinates in which X = S = I. For state feedback, only the inequality of the plant is used.
 """
 
 import contextlib
@@ -28,11 +28,11 @@ from synth.plant.generalized import Plant
 from synth.plant.numerics import numerics, up_to_rounding
 from synth.plant.units import nearest_power, own_units, size
 
-STATE_END = 1e-5  # mu / eta; the bound for state feedback is then within (2 n + d) mu / 2 of the best
-ENOUGH = 1e-8  # relative; a bound this close to the norm of state feedback is not improved
-END = 1e-6  # mu / t; the bound is then within (2 n + d + n - q) mu / 2 of the best
-SHARP = 1e-3  # relative; a proof this close to its point's gamma lost no digits to rounding
-MOST = 1200  # unknowns of the joint path, 33 states: minutes and 200 MB; larger plants get the bound of state feedback
+STATE_END = 1e-5  # mu / eta at the end; the bound for state feedback is then within (2 n + d) mu / 2 of the best bound
+ENOUGH = 1e-8  # relative distance from the norm of state feedback below which a bound is not improved
+END = 1e-6  # mu / t at the end of the joint path; the bound is then within (2 n + d + n - q) mu / 2 of the best bound
+SHARP = 1e-3  # relative distance between a proved bound and the gamma of its point below which rounding cost no digits
+MOST = 1200  # unknowns of the joint path (33 states: minutes and 200 MB); larger plants get the bound for state feedback
 ENTER = 1e2  # mu / t at the start of the joint path
 
 
@@ -44,22 +44,24 @@ def find_lower_bound(
     beyond_control: LowerBound | None = None,
     Dyw: Array | None = None,
 ) -> LowerBound:
-    """Returns the largest lower bound on the norm of any controller that a dual solution, an invariant point or zeros prove.
+    """Returns the largest lower bound on the norm of all controllers that a dual solution, an invariant point or zeros prove.
 
     Args:
-        plant: n states, m inputs.
-        Cy: shape (q, n): the bound is for output feedback from y = C_y x + Dyw w, of any order. Without it, that of the plant
-            counts. Without any, the bound is for state feedback; it also holds for output feedback, whose bound is never lower.
-        path: path of `state_feedback` of the plant, if known.
-        beyond_control: the bound of `bound_beyond_control`, if it is known already.
-        Dyw: shape (q, r); zero if it is not given.
+        plant: plant with n states and m inputs.
+        Cy: matrix of the measurements, shape (q, n). The bound then holds for output feedback of any order from y = C_y x + Dyw
+            w. Default: the measurements of the plant. If the plant has no measurements, the bound is for state feedback. This
+            bound also holds for output feedback, whose own bound is never lower.
+        path: central path of `state_feedback` for this plant, if it is known.
+        beyond_control: bound of `bound_beyond_control`, if it is known.
+        Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
 
     Returns:
-        The bound; 0 without certificates if nothing is proved. Where w acts on y but not on a mode that does not decay, the LMIs
-        have no solution inside: only zeros and the invariant point then bound the norm, and `reason` names the mode.
+        The lower bound with its proof; `gamma` is 0 if nothing is proved. If w acts on y, but not on a mode that does not
+        decay, the LMIs have no strictly feasible point. Only zeros and the invariant point then bound the norm, and `reason`
+        describes the mode.
 
     Raises:
-        InputError: C_y or Dyw does not fit the plant, see `Plant.measured`.
+        InputError: C_y or Dyw does not fit the plant; see `Plant.measured`.
 
     Example:
         >>> from synth import GeneralizedPlant, find_lower_bound
@@ -70,7 +72,7 @@ def find_lower_bound(
         '0.2500'
     """
     measured = Cy is not None or bool(len(plant.Cy))
-    if (Cy is not None and len(Cy)) or len(plant.Cy):  # without rows: a bound for open-loop control
+    if (Cy is not None and len(Cy)) or len(plant.Cy):  # a C_y without rows gives a bound for open-loop control
         plant = plant.measured(Cy, Dyw)
     best = _largest_bound(plant, measured, path, beyond_control)
     if best.state is not None or not np.any(plant.Dyw):
@@ -82,11 +84,11 @@ def find_lower_bound(
 
 
 def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], beyond_control: LowerBound | None) -> LowerBound:
-    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback of a plant that is not measured."""
+    """Returns the bound of `find_lower_bound` for output feedback, or for state feedback if the plant is not measured."""
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = plant.transposed if measured else None
     observer = SynthesisInequality.of(dual) if dual is not None else None
-    other = observer if observer is not None and len(observer.J) else None  # else y and its derivatives give all states
+    other = observer if observer is not None and len(observer.J) else None  # None if y and its derivatives determine all states
     if dual is not None:
         best = max(best, _unmeasured_disturbance_bound(plant, dual), key=_gamma)
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
@@ -102,12 +104,16 @@ def _largest_bound(plant: Plant, measured: bool, path: Sequence[CentralPoint], b
         best = max(best, _for_state_feedback(plant, one, path), key=_gamma)
     if other is None:
         return best
-    # The joint path ends before its optimum, so the bound of state feedback may be larger.
+    # The joint path ends before its optimum, so the bound for state feedback may be larger.
     return max(best, _along_joint_path(plant, dual, one, other), key=_gamma)
 
 
 def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
-    """Returns the bound of the dual of (22), from the path of the inequality if it is smaller than (22), or (22) has no path."""
+    """Returns the lower bound for state feedback.
+
+    The bound comes from the dual of (22). If the plant's inequality has fewer coordinates than (22), or (22) has no path, the
+    bound comes from the path of the inequality.
+    """
     bound = (
         _along_joint_path(plant, None, one, None)
         if len(one.J) < len(plant.A) or not path or plant.dt is not None
@@ -119,7 +125,7 @@ def _for_state_feedback(plant: Plant, one: SynthesisInequality, path: Sequence[C
 def _along_joint_path(
     plant: Plant, dual: Plant | None, one: SynthesisInequality, other: SynthesisInequality | None
 ) -> LowerBound:
-    """Returns the best bound of `_joint_path`; 0 if the problem has no solution, or none with a finite gain."""
+    """Returns the best bound from the points of `_joint_path`; 0 if the problem has no solution, or none with a finite gain."""
     points = []
     with contextlib.suppress(InputError), up_to_rounding(), np.errstate(all="ignore"):
         for point in _joint_path(plant, dual, one, other):
@@ -128,9 +134,9 @@ def _along_joint_path(
 
 
 def bound_beyond_control(plant: Plant) -> LowerBound:
-    """Returns the bound from the invariant point, which no control force changes; 0 if control can change all.
+    """Returns the lower bound at the invariant point; 0 if control can change every direction of z.
 
-    For a discrete plant its continuous image only proposes the frequency.
+    For a discrete plant, its continuous image only proposes the frequency.
     """
     if plant.dt is not None:
         from synth.plant.discrete import continuous_image, true_frequency
@@ -144,11 +150,12 @@ def bound_beyond_control(plant: Plant) -> LowerBound:
 
 
 def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
-    """Returns the bound from what q measurements do not feel at rest, or at infinity, and from what no force moves at infinity.
+    """Returns the lower bound from disturbances that no measurement contains, and from outputs that no force changes.
 
-    It is 0 if the plant is discrete.
+    Disturbances are considered at zero and at infinite frequency, outputs at infinite frequency. For a discrete plant, the
+    bound is 0.
 
-    Floats cannot represent other zeros on the axis, and zeros next to the axis bound nothing.
+    Other zeros on the imaginary axis are not used, because floats cannot represent them. Zeros next to the axis give no bound.
     """
     if plant.dt is not None:
         return LowerBound(0.0)
@@ -159,7 +166,7 @@ def _unmeasured_disturbance_bound(plant: Plant, dual: Plant) -> LowerBound:
 
 
 def _of_state_feedback(plant: Plant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
-    """Returns dual certificates along the path of (22), also if its end cannot be reached."""
+    """Returns dual certificates along the path of (22), even if the end of the path cannot be reached."""
     points = [point for point in path if point.mu > 0.5 * STATE_END]
     if not path:
         n = len(plant.A)
@@ -178,7 +185,10 @@ def _sharpest(
     other: SynthesisInequality | None,
     points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
 ) -> LowerBound:
-    """Returns the best bound that points of a path prove, from the last back to the first that loses no digits to rounding."""
+    """Returns the best lower bound that points of a path prove. The search goes from the last point back to earlier ones.
+
+    The search ends at the first point whose proof loses no digits to rounding.
+    """
     best = LowerBound(0.0)
     for state, observer, gamma in reversed(points):
         best = max(best, prove_from_inequalities(one, other, state, observer), key=_gamma)
@@ -202,7 +212,7 @@ def _joint_path(
         weight = second.feasible_eta()
         second.T = second.T / weight**0.5
         between = CouplingMatrix.of(one, other).floats
-        # S and t grow together until [S J2 J1'; J1 J2' X] > 0 and eta t > 1.
+        # S and t are increased together until [S J2 J1'; J1 J2' X] > 0 and eta t > 1.
         needed = float(np.linalg.norm(_coupling_matrix(first, second, between), 2)) ** 2 if between.size else 0.0
         grow = 2 * max(1.0, needed, weight / eta)
         second.T = second.T * grow**0.5
@@ -236,17 +246,17 @@ def _joint_path(
 
 
 def _feasible(plant: Plant) -> Array:
-    """Returns X that satisfies the plant's `SynthesisInequality`, for some eta.
+    """Returns an X that satisfies the plant's `SynthesisInequality` for some eta, shape (n, n).
 
-    It is the inverse of the solution of a Riccati equation whose z also has the states and inputs, in the plant's own units. An X
-    that is feasible with this z is feasible without them, too.
+    X is the inverse of the solution of a Riccati equation in the plant's own units. The z of this equation also contains the
+    states and inputs. An X that is feasible with this larger z is also feasible with the z of the plant.
     """
     units = own_units(plant)
     own = units.into(plant)
     rate = nearest_power(size(own.A) if own.A.any() else units.rate) if plant.dt is None else 1.0
     weight = nearest_power(size(own.C))
     A, B, C, D = own.A / rate, own.B / rate, own.C / weight, own.D / weight
-    if not B.shape[1]:  # without an input, as for open-loop control, it is a Lyapunov equation
+    if not B.shape[1]:  # without inputs (open-loop control), the Riccati equation becomes a Lyapunov equation
         lyapunov = linalg.solve_continuous_lyapunov if plant.dt is None else linalg.solve_discrete_lyapunov
         P = weight**2 / rate * lyapunov(A.T, (-1 if plant.dt is None else 1) * (C.T @ C + size(C) ** 2 * np.eye(len(A))))
         X = np.linalg.inv(np.linalg.cholesky((P + P.T) / 2)) * units.states
@@ -261,7 +271,7 @@ def _feasible(plant: Plant) -> Array:
 
 
 def _feasible_part(Q: Array, c: Array) -> Array:
-    """Returns X > 0 that satisfies the inequality of an `AntistablePart`, for some eta: Q X + X Q' = c c' / 2 - epsilon I."""
+    """Returns an X > 0 that satisfies the inequality of an `AntistablePart` for some eta: Q X + X Q' = c c' / 2 - epsilon I."""
     if not len(Q):
         return Q
     most, margin = (linalg.solve_continuous_lyapunov(Q, right) for right in (c @ c.T, np.eye(len(Q))))
@@ -270,7 +280,7 @@ def _feasible_part(Q: Array, c: Array) -> Array:
 
 
 class _ProjectedLmi:
-    """One of the two inequalities, and its current X = T T', which is I in the coordinates of T."""
+    """One of the two inequalities, and its current X = T T'. In the coordinates of T, X is the identity."""
 
     def __init__(self, side: SynthesisInequality, plant: Plant) -> None:
         self.n, self.coordinates, self.part = len(plant.A), side.coordinates, side.antistable
@@ -285,11 +295,11 @@ class _ProjectedLmi:
         self.rows, self.columns = np.triu_indices(len(X))
 
     def start(self, last: float) -> Array:
-        """Returns the unknowns of X = I, and the last."""
+        """Returns the unknowns of X = I, followed by the last unknown."""
         return np.append((self.rows == self.columns).astype(float), last)
 
     def feasible_eta(self) -> float:
-        """Returns half the largest eta that is feasible at X = I; 1 if any is."""
+        """Returns half the largest eta that is feasible at X = I; 1 if every eta is feasible."""
         half = (self.Q @ self.T) @ (self.U @ self.T).T
         factor = np.linalg.cholesky(self.c @ self.c.T - half - half.T)
         return 0.5 / (float(np.linalg.norm(np.linalg.solve(factor, self.b), 2)) ** 2 or 0.5)
@@ -318,12 +328,12 @@ class _ProjectedLmi:
 
 
 def _coupling_matrix(first: _ProjectedLmi, second: _ProjectedLmi, between: Array) -> Array:
-    """Returns J2 J1' in the coordinates of both."""
+    """Returns J2 J1' in the current coordinates of both inequalities."""
     return np.linalg.solve(second.T, np.linalg.solve(first.T, between.T).T)
 
 
 def _blocks(first: _ProjectedLmi, second: _ProjectedLmi | None, between: Array) -> tuple[list[Block], int]:
-    """Returns the constraints on the unknowns (X, eta, S, t), and the number of unknowns in (X, eta)."""
+    """Returns the blocks of the constraints on the unknowns (X, eta, S, t), and the number of unknowns in (X, eta)."""
     one = [first.steps(), -(first.b @ first.b.T)[None]]
     k = sum(map(len, one))
     none = np.zeros((0, len(between), len(between)))

@@ -1,4 +1,4 @@
-"""States that a gain can make unobservable in z: (C + D F) x stays 0 from such a state on."""
+"""States that a gain F can make unobservable in z: from such a state on, (C + D F) x stays 0."""
 
 from collections.abc import Iterator
 
@@ -9,11 +9,11 @@ from models.common.arrays import Array
 from synth.analysis.stability import balance
 from synth.plant.generalized import Plant
 
-RANK = 1e-9  # relative; a smaller singular value counts as zero
+RANK = 1e-9  # relative size below which a singular value counts as zero
 
 
 def output_nulling_gains(plant: Plant) -> Iterator[Array]:
-    """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
+    """Yields gains that may make states unobservable in z: the zero gain and, if z weights every force, -D^+ C."""
     yield np.zeros_like(plant.B.T)
     W = plant.independent_inputs()
     D = plant.D @ W
@@ -24,24 +24,24 @@ def output_nulling_gains(plant: Plant) -> Iterator[Array]:
 
 
 def in_balanced_coordinates(plant: Plant, T: Array) -> tuple[Plant, Array]:
-    """Returns the plant in coordinates T / lengths, in which ranks are decided, and these lengths of the columns of T."""
+    """Returns the plant in the coordinates T / lengths, in which ranks are determined, and the lengths of the columns of T."""
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)
     return plant.in_coordinates(T / lengths), lengths
 
 
 def hides_stable_states(plant: Plant, T: Array, step: float) -> bool:
-    """Returns True if a gain makes stable states unobservable in z; T and step are those of `remove_unobservable`."""
+    """Returns True if some gain makes stable states unobservable in z. T and step are those of `remove_unobservable`."""
     moved, _ = in_balanced_coordinates(plant, T)
     return any(output_nulling_subspace(moved, F, step)[0].shape[1] for F in output_nulling_gains(moved))
 
 
 def sees_every_state(plant: Plant) -> bool:
-    """Returns True if neither without control nor under the gain -D^+ C a state is unobservable in z."""
+    """Returns True if no state is unobservable in z, neither without control nor with the gain -D^+ C."""
     return not any(output_nulling_subspace(plant, F)[1].shape[1] for F in output_nulling_gains(plant))
 
 
 def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
+    """Returns orthonormal bases of states that are unobservable in z for u = F x: the stable states, and all; shapes (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F) if F.any() else plant
     terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
@@ -59,9 +59,9 @@ def output_nulling_subspace(plant: Plant, F: Array, step: float = 0.0) -> tuple[
     V = complement(observable.T)
     if not V.shape[1]:
         return V, V
-    slow = RANK * size  # a slower mode does not decay, to rounding
+    slow = RANK * size  # rate below which a mode does not count as decaying, because of rounding
 
-    def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
+    def decays(real: float, imaginary: float) -> bool:  # True if |1 + step s| < 1
         return real + step * (real**2 + imaginary**2) / 2 < -slow
 
     _, vectors, count = linalg.schur(V.T @ loop.A @ V, sort=decays)  # pyright: ignore[reportAssignmentType]

@@ -1,8 +1,9 @@
-"""The search for the lower bound of a sampled loop: the highest level whose discrete plant no controller brings below 1.
+"""Search for the lower bound of a sampled-data loop: the highest level for which no controller reaches a norm below 1.
 
-For any controller at the samples, the L2 gain is below a level if and only if the l2 gain of the level's discrete plant is
-below 1 (`synth/analysis/sampled_loop.py`). Forces on their way are states of that plant, and the noise of the readings is one of
-its disturbances. So where no controller of any order brings the norm of that plant below 1, the level is a lower bound.
+Each level of the L2 gain has a discrete plant (`synth/analysis/sampled_loop.py`). For any controller that acts at the samples,
+the L2 gain is below the level if and only if the l2 gain of this plant is below 1. Delayed forces are states of this plant, and
+the measurement noise is one of its disturbances. If no controller of any order brings the norm of this plant below 1, the level
+is a lower bound on the L2 gain.
 """
 
 import contextlib
@@ -14,27 +15,28 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.numerics import numerics
 
-AIM = 3e-7  # relative; how far above 1 the bound of the level's plant is aimed at
-ENOUGH = 1e-6  # relative; a level this close to the highest that is proved counts as it
-ROUNDS = 40  # limit of a search, which takes five or so
+AIM = 3e-7  # relative distance above 1 at which the search aims the bound of the level's plant
+ENOUGH = 1e-6  # relative distance from the highest proved level at which the search ends
+ROUNDS = 40  # largest number of iterations; most searches need about five
 
 
 @numerics()
 def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound | None:
-    """Returns the highest level that is proved to be a lower bound; None if none is.
+    """Returns the highest level that is proved to be a lower bound on the L2 gain; None if no level is proved.
 
     Args:
-        near: a level to start from, such as the lower bound of the ideal loop.
+        problem: plant with held and delayed forces.
+        near: level at which the search starts, such as the lower bound of the ideal loop.
     """
     below, above, level, best = 0.0, math.inf, near, None
     last: tuple[float, float] | None = None
     for _ in range(ROUNDS):
         plant = problem.at(level)
-        if plant is None:  # no force answers within a period
+        if plant is None:  # the gain within one period reaches the level before any force responds
             reached, discrete = math.inf, LowerBound(0.0)
         else:
             discrete = LowerBound(0.0)
-            with contextlib.suppress(InputError):  # next to a level at which the plant has no image
+            with contextlib.suppress(InputError):  # close to this level, the plant has no continuous image
                 discrete = find_lower_bound(plant)
             reached = discrete.gamma
         bound = SampledBound(level, discrete, inside=plant is None)

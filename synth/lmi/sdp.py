@@ -1,6 +1,7 @@
-"""LMI problems solved by Clarabel through cvxpy.
+"""Solution of the LMI problems by the solver Clarabel through cvxpy.
 
-This is an independent route to every bound: the designs come from the central path (`central_path.py`), which needs no solver.
+This is an independent method for every bound. The designs come from the central path (`central_path.py`), which needs no
+solver.
 """
 
 import warnings
@@ -16,11 +17,11 @@ from synth.plant.numerics import DesignError, NoSolutionError
 
 @dataclass(frozen=True, eq=False)
 class LmiSolution:
-    """The solver's solution: one point of the optimal face, up to its tolerance.
+    """Solution that the solver returned: one point of the optimal face, up to the tolerance of the solver.
 
     Attributes:
-        X: shape (n, n).
-        Y: shape (m, n).
+        X: matrix of shape (n, n).
+        Y: matrix of shape (m, n).
         eta: gamma^-2.
         status: status of the solver, "optimal" or "optimal_inaccurate".
     """
@@ -32,26 +33,27 @@ class LmiSolution:
 
     @property
     def gamma(self) -> float:
-        """The bound eta^-1/2, (23)."""
+        """Bound gamma = eta^-1/2, as in (23)."""
         return self.eta**-0.5
 
 
 def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
-    """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
+    """Solves (25): maximises eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
-    With an empty Q and R = I it is (22); for a closed loop with B = 0 it is (27). For a discrete plant, the bordered matrix of
-    `certificate.py` replaces (24).
+    If Q is empty and R = I, this is problem (22). For a closed loop with B = 0, this is problem (27). For a discrete plant, the
+    larger matrix of `certificate.py` replaces (24).
 
     Args:
-        Q: shape (n, n - q).
-        R: shape (n, q).
-        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound of (25) for that gain.
+        plant: plant with n states and m inputs.
+        Q: matrix of shape (n, n - q).
+        R: matrix of shape (n, q).
+        gain: fixed gain K, shape (m, q). If given, Y_R = K X_R, and the optimum is the best bound of (25) for this gain.
 
     Raises:
-        NoSolutionError: the solver reports it, or an eta that is zero to its tolerance.
-        DesignError: the solver gave up.
+        NoSolutionError: the solver reports that there is no solution, or eta is zero within the tolerance.
+        DesignError: the solver failed.
     """
-    import cvxpy as cp  # 0.9 s, and only this function needs it
+    import cvxpy as cp  # the import takes 0.9 s, and only this function needs it
 
     step, plant = plant.dt, plant.differences
     m = plant.B.shape[1]
@@ -75,30 +77,30 @@ def solve_lmi(plant: Plant, Q: Array, R: Array, gain: Array | None = None) -> Lm
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     solve_sdp(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
-    # Clarabel's tolerance of 1e-8, relative to X.
+    # Clarabel has a tolerance of 1e-8, here relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
         raise NoSolutionError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
-    per_step = 1.0 if step is None else step  # (21) in differences has X over it
+    per_step = 1.0 if step is None else step  # for a plant in differences, X of (21) is divided by the step
     return LmiSolution(per_step * X_value, per_step * Y_value, eta_value, problem.status)
 
 
 def solve_sdp(problem: Any) -> None:
-    """Solves a `cvxpy.Problem` by Clarabel. The caller checks the values of its unknowns.
+    """Solves a `cvxpy.Problem` with Clarabel. The caller must check the values of the unknowns.
 
     Args:
         problem: problem with an objective.
 
     Raises:
-        NoSolutionError: the solver reports it.
-        DesignError: the solver gave up.
+        NoSolutionError: the solver reports that there is no solution.
+        DesignError: the solver failed.
     """
     import cvxpy as cp
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so, too
+            warnings.simplefilter("ignore")  # the warning "may be inaccurate" repeats the status
             problem.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise DesignError(

@@ -1,4 +1,4 @@
-"""The unknowns X, Y and eta of the LMI problems (22) and (25), and their coefficients in the matrix (24)."""
+"""Unknowns X, Y and eta of the LMI problems (22) and (25), and their coefficients in the matrix (24)."""
 
 import functools
 from typing import Any
@@ -10,18 +10,19 @@ from synth.plant.generalized import Plant
 
 
 class Basis:
-    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates where (12) is block diagonal.
+    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates in which (12) is block diagonal.
 
-    For one plant, or for a stack of plants of the same shape along leading axes (...).
+    The basis belongs to one plant, or to a stack of plants of the same shape along leading axes (...).
 
     Args:
         system: matrices [A B Bw; C D Dw], shape (..., k, n + m + r).
-        n, m, free: number of states, of inputs, and of columns of Q.
-        step: sample period of a discrete plant [s]; 0 for a continuous one.
+        n, m, free: numbers of states, of inputs, and of columns of Q.
+        step: sample period of a discrete plant [s]; 0 for a continuous plant.
 
     Attributes:
-        places: rows and columns in [X; Y] of all unknowns but the last, those of X above its diagonal, shapes (N - 1,).
-        size: N.
+        places: row and column indices in [X; Y] of all unknowns except the last, shapes (N - 1,). For the unknowns of X, they
+            are those above the diagonal.
+        size: number N of unknowns.
     """
 
     def __init__(self, system: Array, n: int, m: int, free: int, step: float) -> None:
@@ -41,7 +42,7 @@ class Basis:
 
     @property
     def plant(self) -> Plant:
-        """The plant, if there is only one."""
+        """Plant, if the basis belongs to one plant only."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return Plant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
@@ -58,9 +59,9 @@ class Basis:
 
     @functools.cached_property
     def F(self) -> Array:
-        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k + n with a step, see (21)."""
+        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); for a discrete plant, k + n for k."""
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # [A B; C D] [X; Y] for every unknown: the left columns of (24); transposed, its upper rows.
+        # [A B; C D] [X; Y] for every unknown gives the left columns of (24). Its transpose gives the upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left
@@ -74,11 +75,11 @@ class Basis:
         return F
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
-        """Returns the unknowns of X, Y and the last."""
+        """Returns the vector of unknowns from X, Y and the last unknown."""
         return np.append(np.concatenate([X, Y])[self.places], last)
 
     def unpack(self, p: Array) -> tuple[Array, Array, Any]:
-        """Returns X, Y and the last unknown, for p of shape (..., N)."""
+        """Returns X, Y and the last unknown from a vector p of unknowns, shape (..., N)."""
         rows, columns = self.places
         unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
         unknown[..., rows, columns] = p[..., :-1]
@@ -89,19 +90,22 @@ class Basis:
 
 @functools.cache
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns the positions in [X; Y] of all unknowns but eta: X_Q and X_R above the diagonal, then Y_R, by rows."""
+    """Returns row and column indices in [X; Y] of all unknowns except eta.
+
+    The unknowns of X_Q and X_R on and above the diagonal come first, by rows. The unknowns of Y_R follow, by rows.
+    """
     rows, columns = np.triu_indices(n)
-    inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
+    inside = (rows >= free) | (columns < free)  # False for entries that would couple the two blocks
     index, q = np.arange(m * (n - free)), max(n - free, 1)
     places = np.concatenate([rows[inside], n + index // q]), np.concatenate([columns[inside], free + index % q])
     for each in places:
-        each.flags.writeable = False  # all paths of this size share them
+        each.flags.writeable = False  # the arrays are cached and shared by all paths of this size
     return places
 
 
 @functools.cache
 def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Returns the coefficients of the unknowns in X and in Y."""
+    """Returns the coefficients of the unknowns in X, shape (N, n, n), and in Y, shape (N, m, n)."""
     rows, columns = places(n, m, free)
     units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
     units[index, rows, columns] = 1
@@ -109,12 +113,12 @@ def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
     units[index[of_x], columns[of_x], rows[of_x]] = 1
     X, Y = np.ascontiguousarray(units[:, :n]), np.ascontiguousarray(units[:, n:])
     for each in (X, Y):
-        each.flags.writeable = False  # all paths of this size share them
+        each.flags.writeable = False  # the arrays are cached and shared by all paths of this size
     return X, Y
 
 
 def direction(size: int, value: float) -> Array:
-    """Returns a vector of zeros with a value for the last unknown, eta, shape (size,)."""
+    """Returns a vector of shape (size,) that is zero except for the last unknown, eta, which has the given value."""
     c = np.zeros(size)
     c[-1] = value
     return c

@@ -1,12 +1,12 @@
-"""Stable states that are unobservable in z: they are removed from the LMI problems, and restored afterwards.
+"""Removes stable states that are unobservable in z from the LMI problems, and adds them to the solution.
 
-Some gain F may make states unobservable in z: (C + D F) x stays 0 from such a state on. If these states decay, X of (22) and (25)
-may grow in them without bound and without cost. Then the problem has no central path, and gains on them are arbitrary. So they
-are removed. The problem of the other states has the same optimum and gives the gain on them. The removed states get F, which is
-zero if z weights the force separately.
+Some gain F may make states unobservable in z: from such a state on, (C + D F) x stays 0. If these states decay, X of (22) and
+(25) may grow along them without bound and without cost. The problem then has no central path, and the gains on these states are
+arbitrary. Therefore, the states are removed. The problem of the other states has the same optimum, and it gives the gain on the
+other states. The gain on the removed states is F, which is zero if z weights the force separately.
 
-In (25) X and Y must satisfy (12). So in the coordinates of [Q R] the removed space is the sum of a part in Q, on which F is zero,
-and a part in R.
+In (25), X and Y must satisfy (12). In the coordinates of [Q R], the removed space is therefore the sum of a part in Q, on which
+F is zero, and a part in R.
 """
 
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from synth.lmi.output_nulling import RANK, complement, in_balanced_coordinates, 
 from synth.plant.generalized import Plant
 from synth.plant.units import own_units
 
-ROUNDING = 1e-15  # relative; rounding of a zero by a few rotations
-UNDRIVEN = 1e-6  # variance of a state that nothing drives, relative to the mean of the others
+ROUNDING = 1e-15  # relative error of an entry that should be zero, after a few rotations
+UNDRIVEN = 1e-6  # variance of a state that no disturbance reaches, relative to the mean variance of the other states
 
 
 @dataclass(frozen=True, eq=False)
 class UnobservableReduction:
-    """A plant without its stable states that are unobservable in z, and the way back.
+    """Plant without its stable states that are unobservable in z, and the transformation back to the whole plant.
 
     Attributes:
-        rest: the plant of the k remaining states.
+        rest: plant of the k remaining states.
         Q: Q of the remaining plant, shape (k, a').
         R: R of the remaining plant, shape (k, q').
-        Z: coordinates of the whole plant, the remaining states first, shape (n, n).
-        whole: the whole plant in these coordinates, with F in the loop.
-        narrow: map from the coordinates that R spans to those that the remaining R spans, shape (q', q).
-        F: the gain on the coordinates that R spans, shape (m, q).
-        step: sample period of a discrete plant [s]; 0 for a continuous one.
+        Z: coordinates of the whole plant, with the remaining states first, shape (n, n).
+        whole: whole plant in these coordinates, with the loop closed by F.
+        narrow: matrix from the coordinates that R spans to those that the remaining R spans, shape (q', q).
+        F: gain on the coordinates that R spans, shape (m, q).
+        step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """
 
     rest: Plant
@@ -49,13 +49,13 @@ class UnobservableReduction:
     step: float = 0.0
 
     def gain(self, K: Array) -> Array:
-        """Returns the gain of the whole plant for a gain of the rest, shape (m, q)."""
+        """Returns the gain of the whole plant from a gain K of the remaining plant, shape (m, q)."""
         return K @ self.narrow + self.F
 
     def completed_x(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant, shape (n, n), whose removed states follow the others.
+        """Returns an X of the whole plant from an X of the remaining plant, shape (n, n).
 
-        It is the covariance of the closed loop under white noise that gives the remaining states the covariance X.
+        The result is the covariance of the closed loop with white noise that gives the remaining states the covariance X.
         """
         loop, k = self._loop(K), len(X)
         A, follows, A2 = loop.A[:k, :k], loop.A[k:, :k], loop.A[k:, k:]
@@ -68,7 +68,7 @@ class UnobservableReduction:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """Returns an X of the whole plant that proves the same bound: large enough in the removed states."""
+        """Returns an X of the whole plant that proves the same bound; its part of the removed states is large enough."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.completed_x(K, X, eta) @ inside.T
@@ -81,7 +81,7 @@ class UnobservableReduction:
         return self.Z @ whole @ self.Z.T
 
     def _loop(self, K: Array) -> Plant:
-        """Returns the closed loop in the coordinates of Z; for a discrete one its bilinear image, for which X is the same."""
+        """Returns the closed loop in the coordinates of Z; for a discrete plant its bilinear image, which has the same X."""
         from synth.plant.discrete import from_differences
 
         gain = np.hstack([K @ self.R.T, np.zeros((len(K), len(self.whole.A) - len(self.rest.A)))])
@@ -89,12 +89,13 @@ class UnobservableReduction:
 
 
 def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
-    """Removes states that can be made unobservable from z without changing (12). Returns None if there are none.
+    """Removes states that can be made unobservable in z without violating (12). Returns None if there are no such states.
 
     Args:
-        Q: shape (n, n - q).
-        R: shape (n, q); [Q R] is regular.
-        step: sample period of a discrete plant [s]; 0 for a continuous one.
+        plant: plant with n states, without measurements.
+        Q: matrix of shape (n, n - q).
+        R: matrix of shape (n, q), such that [Q R] is regular.
+        step: sample period of a discrete plant [s]; 0 for a continuous plant.
     """
     a = Q.shape[1]
     T = np.hstack([Q, R])
@@ -106,14 +107,14 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        # The remaining states are orthogonal to the removed ones in dimensionless units, so that the result depends on no unit.
+        # In dimensionless units, the remaining states are orthogonal to the removed states. The result then depends on no unit.
         own = T / lengths / own_units(plant).exact[0][:, None]
         kept_q, kept_r = _dual_basis(out_q, own[:, :a]), _dual_basis(out_r, own[:, a:])
         Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
-        # Rounding would make an A that should be zero look like a rate of the plant.
+        # A rounding error in an A that should be zero would look like a rate of the plant.
         turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
         A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
         rest = Plant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
@@ -124,7 +125,10 @@ def remove_unobservable(plant: Plant, Q: Array, R: Array, step: float) -> Unobse
 
 
 def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """Returns bases of the largest (A + B F)-invariant V_q + V_r in V: V_q in the first `a` coordinates with F V_q = 0."""
+    """Returns bases of V_q and V_r, whose sum is the largest (A + B F)-invariant subspace of V with a special structure.
+
+    V_q lies in the first `a` coordinates and satisfies F V_q = 0. V_r lies in the other coordinates.
+    """
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
     in_q = in_q @ _null(F @ in_q / (np.linalg.norm(F) or 1.0))
@@ -137,17 +141,17 @@ def _invariant_bases(plant: Plant, F: Array, V: Array, a: int) -> tuple[Array, A
 
 
 def _null(M: Array) -> Array:
-    """Returns an orthonormal basis of the nullspace of M, to RANK, shape (columns, k)."""
+    """Returns an orthonormal basis of the nullspace of M, with the tolerance RANK, shape (columns, k)."""
     _, sizes, directions = np.linalg.svd(M)
     return directions[int(np.sum(sizes > RANK)) :].T
 
 
 def _dual_basis(out: Array, T: Array) -> Array:
-    """Returns the dual basis of `out` that is orthogonal, in coordinates T x, to the complement of `out`, shape (n, k).
+    """Returns the dual basis of `out`, shape (n, k). In coordinates T x, it is orthogonal to the complement of `out`.
 
     Args:
-        out: orthonormal, shape (n, k).
-        T: shape (N, n).
+        out: matrix with orthonormal columns, shape (n, k).
+        T: coordinate transformation, shape (N, n).
     """
     if not out.shape[1]:
         return out

@@ -1,1 +1,1 @@
-"""The generalized plant (15): its matrices, its units, filters at its ends, and the map from discrete time."""
+"""Generalized plant (15): its matrices and units, filters on its signals, and the map from discrete to continuous time."""

@@ -1,21 +1,21 @@
-"""Plants augmented with filters of outputs, disturbances and actuators, and with the states of a law.
+"""Plants with additional filters on outputs, disturbances or actuators, and with the states of a control law.
 
-The law's states x_c become integrators with inputs of their own (El Ghaoui, Oustry, AitRami 1997): x_c' = v, and
+The states x_c of the law become integrators with their own inputs v (El Ghaoui, Oustry, AitRami 1997): x_c' = v, and
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant the law is discrete, too, x_c[k+1] = v[k]. A measured disturbance passes through the law directly and is part
-of Bw and Dw of the larger plant.
+For a discrete plant, the law is also discrete: x_c[k+1] = v[k]. A measured disturbance passes directly through the law. This
+disturbance is then part of Bw and Dw of the larger plant.
 
-A design handles weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's. In series
-with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
-actuator. A filter is a `Plant` without inputs, from w to z.
+A design handles only constant weights. A weight that depends on frequency is therefore a filter, whose states are added to the
+plant. A filter in series with an output weights this output. A filter in series with a disturbance shapes its spectrum. A
+filter in series with an input models the actuator. A filter is a `Plant` without inputs, from w to z.
 
-    transfer_function system of a ratio of polynomials in s
-    series, append    systems in series, systems in parallel with separate signals
-    with_weights      a plant between the filter of its w and that of its z
+- `transfer_function`: system from a ratio of polynomials in s
+- `series`, `append`: systems in series, and systems in parallel with separate signals
+- `with_weights`: plant with one filter before w and another after z
 
-(Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
+Source: Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.
 """
 
 from collections.abc import Sequence
@@ -30,10 +30,12 @@ from synth.plant.state_space import StateSpace
 
 
 def closed_by(plant: Plant, law: LinearLaw) -> Plant:
-    """Returns the closed loop of a law on y, without an input, from w to z; as `Plant.closed`, in a fifth of its time.
+    """Returns the closed loop with a law on y, from w to z and without an input.
+
+    The result is that of `Plant.closed`, in a fifth of the time.
 
     Raises:
-        InputError: the loop through the measurements has no solution.
+        InputError: the algebraic loop through the measurements has no solution.
     """
     law = law.fed_back(plant.Dyu)
     n, K, Cy, Dyw = len(plant.A), law.D, plant.Cy, plant.Dyw
@@ -49,17 +51,17 @@ def closed_by(plant: Plant, law: LinearLaw) -> Plant:
 
 
 def gain(D: object) -> StateSpace:
-    """Returns a system without states, e = D v; a number D counts as a matrix of shape (1, 1)."""
+    """Returns a system e = D v without states. A number D counts as a matrix of shape (1, 1)."""
     matrix = np.atleast_2d(np.asarray(D, dtype=float))
     return StateSpace(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
 
 
 def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> StateSpace:
-    """Returns the filter of one signal with a ratio of polynomials in s.
+    """Returns a filter for one signal from the numerator and denominator polynomials in s.
 
     Args:
         numerator: coefficients, highest power of s first.
-        denominator: coefficients, of at least the numerator's degree.
+        denominator: coefficients, highest power of s first; its degree is at least that of the numerator.
 
     Raises:
         InputError: a coefficient is not a number, the denominator is zero, or its degree is too low.
@@ -68,29 +70,29 @@ def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) 
         np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
     )
     if not len(below):
-        raise InputError("the denominator of a filter is zero; give its coefficients, of the highest power of s first")
+        raise InputError("the denominator of a filter is zero; give its coefficients, highest power of s first")
     if len(above) > len(below):
         raise InputError(
-            f"a filter has a numerator of degree {len(above) - 1} and a denominator of {len(below) - 1}: it would differentiate; "
-            "give it a denominator of no lower degree"
+            f"a filter has a numerator of degree {len(above) - 1} and a denominator of degree {len(below) - 1}, so it would "
+            "differentiate; give a denominator of at least the same degree"
         )
     if len(below) == 1:
         return gain(above[0] / below[0] if len(above) else 0.0)
-    from scipy.signal import tf2ss  # half a second
+    from scipy.signal import tf2ss  # the import takes 0.5 s
 
     A, B, C, D = (np.asarray(part) for part in tf2ss(above if len(above) else [0.0], below))
     return StateSpace(A, B, C, D)
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Returns the second system fed by the first.
+    """Returns two systems in series: the outputs of the first are the inputs of the second.
 
     Raises:
-        InputError: the first has not as many outputs as the second has inputs.
+        InputError: the number of outputs of the first differs from the number of inputs of the second.
     """
     if len(first.C) != second.B.shape[1]:
         raise InputError(
-            f"a system with {len(first.C)} outputs cannot feed one with {second.B.shape[1]} inputs; give equal numbers"
+            f"a system with {len(first.C)} outputs cannot feed a system with {second.B.shape[1]} inputs; give equal numbers"
         )
     n, k = len(first.A), len(second.A)
     return StateSpace(
@@ -102,20 +104,21 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def append(*systems: StateSpace) -> StateSpace:
-    """Returns systems in parallel: the inputs of all, and the outputs of all, in their order."""
+    """Returns systems in parallel with separate inputs and outputs, in the given order."""
     A, B, C, D = (_diagonal([getattr(one, name) for one in systems]) for name in "ABCD")
     return StateSpace(A, B, C, D)
 
 
 def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, beside: Array | None = None) -> Plant:
-    """Returns the plant with one system behind its z and another before its w.
+    """Returns the plant with one system after z and another system before w.
 
-    Its states come first, then those of z, then those of w. It keeps its measurements, which contain the filtered w.
+    The states of the plant come first, then those of the system after z, then those of the system before w. The result keeps
+    the measurements of the plant, which contain the filtered w.
 
     Args:
-        plant: n states, r disturbances, d outputs.
-        outputs: system with d inputs.
-        disturbances: system with r outputs.
+        plant: plant with n states, r disturbances and d outputs.
+        outputs: system with d inputs, after z.
+        disturbances: system with r outputs, before w.
         beside: additional gain from the j states of `disturbances` to the input of `outputs`, shape (d, j); None for zero.
     """
     z, w = outputs, disturbances
@@ -142,7 +145,10 @@ def with_weights(plant: Plant, outputs: StateSpace, disturbances: StateSpace, be
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:
-    """Blocks on the diagonal; blocks without rows or columns count with the others they have."""
+    """Returns a block-diagonal matrix.
+
+    A block without rows still adds its columns, and a block without columns still adds its rows.
+    """
     whole = np.zeros((sum(len(part) for part in parts), sum(part.shape[1] for part in parts)))
     i = j = 0
     for part in parts:

@@ -1,15 +1,17 @@
-"""Discrete plants: the bilinear map to a continuous plant with the same norms, and frequency responses.
+"""Discrete plants: the bilinear map to a continuous plant with the same norms, and accurate frequency responses.
 
-Tustin's map s = (2 / dt) (z - 1) / (z + 1) takes the unit circle to the imaginary axis and its inside to the left half plane. So
-a loop and the mapped loop have the same stability and norm, and the same X of the bounded-real LMI (20), but for a factor dt. The
-mapped measurements contain inputs and disturbances, y = C_y x + Dyw w + Dyu u: the gain stays the same, in an algebraic loop.
+Tustin's map s = (2 / dt) (z - 1) / (z + 1) maps the unit circle to the imaginary axis, and its inside to the left half plane. A
+loop and its image therefore have the same stability and norm. A loop and its image also have the same X of the bounded-real LMI
+(20), up to a factor dt. The measurements of the image contain inputs and disturbances, y = C_y x + Dyw w + Dyu u. The gain
+stays the same, but it acts in an algebraic loop.
 
-A pole at z = -1 has no image on the imaginary axis. If the plant has one, a gain K0 that moves it is closed first, and the plant
-under that gain is mapped: the gain K of the plant is K - K0 of the mapped one.
+A pole at z = -1 has no finite image. If the plant has such a pole, a gain K0 that moves it is applied first. The plant with
+this gain is then mapped. A gain K of the plant corresponds to the gain K - K0 of the image.
 
-A discrete loop's response Dw + C (z - A)^-1 Bw is computed with twice the digits. The point is given by t = tan(omega dt / 2), a
-float: z = (1 + j t) / (1 - j t) lies on the circle exactly, without the rounding of a sine. Multiplied by 1 - j t, the equation
-is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 it is divided by j t.
+The frequency response Dw + C (z - A)^-1 Bw of a discrete loop is computed with twice the digits. The frequency is given by the
+float t = tan(omega dt / 2). The point z = (1 + j t) / (1 - j t) is then exactly on the circle, without the rounding error of a
+sine. After multiplication by 1 - j t, the equation is ((I - A) + j t (I + A)) x = (1 - j t) Bw. For t > 1, the equation is
+divided by j t.
 """
 
 from dataclasses import replace
@@ -22,15 +24,16 @@ from models.common.errors import InputError
 from synth.plant.double_double import CONVERGED_CHANGE, MOST_TURNS, exact_product, exact_sum, product
 from synth.plant.generalized import Plant
 
-LEAST_SINGULAR_VALUE = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
-MOVES = 20  # gains that are tried if A has a pole next to -1
+# Smallest allowed singular value of the balanced A + I, relative to the largest: it limits the number of digits that are lost.
+LEAST_SINGULAR_VALUE = 1e-6
+MOVES = 20  # number of gains that are tried if A has a pole near z = -1
 SEED = 20261122
 
 
 def continuous_image(plant: Plant) -> tuple[Plant, Array]:
-    """Returns the continuous image of a discrete plant with its measurements, and K0; a continuous plant is its own image.
+    """Returns the continuous image of a discrete plant with its measurements, and K0. A continuous plant is returned unchanged.
 
-    The gain K of the discrete plant, shape (m, q), is K - K0 of its image.
+    A gain K of the discrete plant, shape (m, q), corresponds to the gain K - K0 of its image.
 
     Raises:
         InputError: the plant has a pole at z = -1, and no gain from the measurements moves it.
@@ -51,11 +54,11 @@ def continuous_image(plant: Plant) -> tuple[Plant, Array]:
 
 
 def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
-    """Returns the continuous image, from w to z, of a discrete loop without a pole at z = -1; a continuous loop is its own.
+    """Returns the continuous image of a discrete loop from w to z. A continuous loop is returned unchanged.
 
     Args:
-        loop: loop in continuous or discrete time.
-        turned: True to replace z by -z first: then z = -1 is mapped to 0, not to infinity. Norm and X stay the same.
+        loop: loop in continuous time, or in discrete time without a pole at z = -1.
+        turned: True to replace z by -z first. Then z = -1 is mapped to 0 instead of infinity. The norm and X do not change.
     """
     if loop.dt is None:
         return loop
@@ -65,7 +68,7 @@ def continuous_loop(loop: Plant, turned: bool = False) -> Plant:
 def from_differences(loop: Plant, step: float) -> Plant:
     """Returns the continuous image of a loop in differences (`Plant.differences`) over a step [s].
 
-    X of (20) is the same in both. A loop of step 0 is its own image.
+    The loop and its image have the same X of (20). If the step is 0, the loop is returned unchanged.
     """
     if not step:
         return loop
@@ -74,29 +77,29 @@ def from_differences(loop: Plant, step: float) -> Plant:
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
-    """Returns the frequency [rad/s] of the discrete plant whose image is `omega`, which may be infinite."""
+    """Converts a frequency omega [rad/s] of the image, which may be infinite, to that of the discrete plant."""
     return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
 
 
 def mapped_frequency(omega: float, dt: float | None) -> float:
-    """Returns the image of a frequency [rad/s] of the discrete plant: the inverse of `true_frequency`."""
+    """Converts a frequency omega [rad/s] of the discrete plant to that of its image; the inverse of `true_frequency`."""
     if dt is None:
         return omega
     return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
 
 
 def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array, Array, Array, Array]:
-    """Returns the bilinear image of a system in differences over a step."""
+    """Returns the bilinear image of a system in differences over a step [s]."""
     beside = np.linalg.inv(2 * np.eye(len(A)) + step * A)
     inputs = beside @ B
     return 2 * A @ beside, 2 * inputs, 2 * C @ beside, D - step * C @ inputs
 
 
 def _away_from_minus_one(plant: Plant) -> Array:
-    """Returns a gain K0 after which no pole lies next to z = -1, shape (m, q); zero if none does.
+    """Returns a gain K0 with which no pole is near z = -1, shape (m, q). K0 is zero if the plant has no such pole.
 
-    K0 does not depend on the units of states, inputs or measurements, but for a pole at the very distance LOST, where the powers
-    of two of balancing decide. In coordinates that mix the states it may differ.
+    K0 does not depend on the units of states, inputs or measurements. There is one exception: if a pole is almost exactly at
+    the limit LEAST_SINGULAR_VALUE, the powers of two from balancing decide. In coordinates that mix the states, K0 may differ.
     """
 
     def lost(K: Array) -> float:
@@ -119,9 +122,9 @@ def _away_from_minus_one(plant: Plant) -> Array:
 
 
 def _reach(plant: Plant) -> Array:
-    """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it always is.
+    """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it is 0 for all k.
 
-    This size of an input's first effect on a measurement does not depend on the units of the states.
+    An entry is the size of an input's first effect on a measurement. This size does not depend on the units of the states.
     """
     spread, reach = np.abs(plant.B), np.zeros((len(plant.Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):
@@ -131,14 +134,17 @@ def _reach(plant: Plant) -> Array:
 
 
 def response_closely(system: Plant, t: float) -> tuple[Array, float]:
-    """Returns T at a point of the unit circle, complex, shape (d, r), and the largest change of an entry in the last iteration.
+    """Returns the frequency response T at a point of the unit circle with twice the digits, and an estimate of its error.
 
     Args:
-        system: system in discrete time; `beyond` counts.
+        system: system in discrete time, including its low-order digits `beyond`.
         t: tan(omega dt / 2), from 0 to infinity.
 
+    Returns:
+        T, complex, shape (d, r), and the largest change of an entry in the last iteration.
+
     Raises:
-        LinAlgError: the system has a pole there, to rounding.
+        LinAlgError: the system has a pole at this point, up to rounding.
     """
     n, r = system.Bw.shape
     beyond = np.zeros((n + len(system.C), n)) if system.beyond is None else system.beyond

@@ -1,35 +1,36 @@
-"""Sums and products with twice the digits of floats: pairs (high, low), whose sum is the number.
+"""Sums and products with twice the digits of floats. A number is the sum of a pair (high, low) of floats.
 
-Knuth's sum and Dekker's product are exact: the rounding error is a float itself, and is kept (Ogita, Rump, Oishi 2005, Accurate
-sum and dot product). Numbers must stay away from 1e300 and 1e-140; entries of a plant do.
+Knuth's sum and Dekker's product are exact, because their rounding error is itself a float and is stored as `low`. Source:
+Ogita, Rump, Oishi 2005, Accurate sum and dot product. Magnitudes must stay between about 1e-140 and 1e300, as the entries of
+plants do.
 """
 
 import numpy as np
 
 from models.common.arrays import Array
 
-SPLIT = 2.0**27 + 1  # halves a float: each half has 26 bits, so that products of halves are exact
+SPLIT = 2.0**27 + 1  # splits a float into two halves of 26 bits each, so that products of halves are exact
 
-CONVERGED_CHANGE = 1e-14  # relative; an iteration that moves by less has converged
-MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
+CONVERGED_CHANGE = 1e-14  # relative change of the result at which an iteration has converged
+MOST_TURNS = 12  # largest number of iterations; each adds about 16 digits minus those lost to the condition of A
 
 
 def exact_sum(a: Array, b: Array) -> tuple[Array, Array]:
-    """Returns a + b without error, entry by entry."""
+    """Returns a + b without rounding error, entry by entry, as a pair (high, low)."""
     high = a + b
     part = high - a
     return high, (a - (high - part)) + (b - part)
 
 
 def exact_product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Returns a b without error, entry by entry."""
+    """Returns a b without rounding error, entry by entry, as a pair (high, low)."""
     high = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     return high, a2 * b2 - (((high - a1 * b1) - a2 * b1) - a1 * b2)
 
 
 def product(left: Array, right: Array) -> tuple[Array, Array]:
-    """Returns left @ right with twice the digits, for stacks of matrices of shapes (..., k, n) and (..., n, c)."""
+    """Returns left @ right with twice the digits, as a pair, for stacks of matrices of shapes (..., k, n) and (..., n, c)."""
     if not left.shape[-1]:
         whole = left @ right
         return whole, np.zeros_like(whole)

@@ -1,4 +1,7 @@
-"""The plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w; or x[k+1] = ... every dt seconds."""
+"""Generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w.
+
+A discrete plant has x[k+1] instead of x', with a sample period of dt seconds.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -15,7 +18,7 @@ from models.common.errors import InputError, short_repr
 from models.laws.linear import LinearLaw, static_law
 from synth.plant.double_double import exact_sum, product
 
-SMALLEST, LARGEST = 1e-50, 1e50  # of a matrix: beyond, squares of its entries under- or overflow where they meet
+SMALLEST, LARGEST = 1e-50, 1e50  # limits of the entries of a matrix; beyond them, products of entries may under- or overflow
 
 NOTHING: Any = None
 SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "D": ("d", "m"), "Dw": ("d", "r")}
@@ -23,17 +26,18 @@ SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """A static gain u = K y from y = C_y x, held as two factors, so that their product is not rounded in a claim.
+    """Static gain u = K y with y = C_y x, stored as two factors K and C_y.
 
-    A gain may weight the difference of two nearly dependent signals a million times. Then the nearest floats to K C_y are
-    those of another controller.
+    The factors are stored separately so that proofs do not depend on the rounding of their product. A gain may, for example,
+    weight the difference of two nearly dependent signals with a factor of a million. Rounding K C_y would then change the
+    controller.
 
     Attributes:
-        K: shape (m, q).
-        Cy: shape (q, n).
+        K: gain, shape (m, q).
+        Cy: matrix of the measurements, shape (q, n).
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, or the two do not fit.
+        InputError: a matrix contains entries that are not real finite numbers, or the shapes do not fit.
     """
 
     K: Array
@@ -48,28 +52,30 @@ class Feedback:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A linear plant with a disturbance, a controlled output, and measurements if they are given.
+    """Linear plant with control inputs u, disturbances w, controlled outputs z and, if given, measurements y.
 
-    A plant that is made of another keeps its measurements.
+    In continuous time, x' = A x + B u + Bw w, z = C x + D u + Dw w, y = Cy x + Dyu u + Dyw w. A plant with `dt` is discrete:
+    x[k+1] replaces x'. The methods that return another plant keep the measurements, unless they state otherwise.
 
     Attributes:
-        A: shape (n, n).
-        B: shape (n, m).
-        Bw: shape (n, r).
-        C: shape (d, n).
-        D: shape (d, m).
-        Dw: shape (d, r). Zero in the paper.
-        beyond: rounding error of A and C of a closed loop, true value less float, shape (n + d, n); None if they are exact.
-        weights: number of the last states that belong to weights: no control moves their poles, and they do not count for the
-            plant's speed.
-        dt: seconds from x[k] to x[k + 1] of a discrete plant; None for a continuous one.
-        Cy: shape (q, n); without rows by default.
-        Dyu: shape (q, m); zero by default.
-        Dyw: shape (q, r); zero by default.
+        A: state matrix, shape (n, n).
+        B: matrix from the m inputs to the states, shape (n, m).
+        Bw: matrix from the r disturbances to the states, shape (n, r).
+        C: matrix from the states to the d outputs, shape (d, n).
+        D: feedthrough from the inputs to the outputs, shape (d, m).
+        Dw: feedthrough from the disturbances to the outputs, shape (d, r); zero in the paper.
+        beyond: rounding errors of A and C of a closed loop (true value minus float), shape (n + d, n); None if A and C are
+            exact.
+        weights: number of states that belong to weighting filters; they are the last states. No controller moves their poles,
+            and the speed of the plant does not include them.
+        dt: sample period of a discrete plant [s]; None for a continuous plant.
+        Cy: matrix from the states to the q measurements, shape (q, n). Default: no measurements.
+        Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
+        Dyw: feedthrough from the disturbances to the measurements, shape (q, r). Default: zero.
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, has the wrong shape, too many rows or columns, or
-            entries beyond `SMALLEST` or `LARGEST`; or dt or weights is no such number. The message names it.
+        InputError: a matrix has the wrong shape, too many rows or columns, or entries that are not real finite numbers between
+            `SMALLEST` and `LARGEST`. The error is also raised for an invalid `dt` or `weights`.
     """
 
     public_name = "a GeneralizedPlant"
@@ -117,7 +123,7 @@ class Plant:
         q = 0 if self.Cy is None else len(real_matrix(self.Cy, "Cy", f"(q, {size['n']})"))
         for name, of, what in (("Cy", "n", "state"), ("Dyu", "m", "input"), ("Dyw", "r", "disturbance")):
             shape, value = (q, size[of]), getattr(self, name)
-            # `replace` may have changed the shapes of others.
+            # `replace` may have changed the shapes of the other matrices.
             none = value is None or (isinstance(value, np.ndarray) and value.ndim == 2 and not len(value))
             matrix = np.zeros(shape) if none else real_matrix(value, name, str(shape))
             if matrix.shape != shape:
@@ -130,26 +136,29 @@ class Plant:
 
     @classmethod
     def without_inputs(cls, A: Array, Bw: Array, C: Array, Dw: Array, dt: float | None = None) -> "Plant":
-        """Returns a system from w to z alone."""
+        """Returns a system from w to z without control inputs."""
         return cls(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw, dt=dt)
 
     def unchecked(self, **parts: Any) -> "Plant":
-        """Returns the plant with some other parts that fit. They are neither checked nor copied, and may be NaN."""
+        """Returns the plant with some attributes replaced. The new values must fit; they are neither checked nor copied."""
         plant = object.__new__(Plant)
         plant.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)} | parts)
         return plant
 
     def measured(self, Cy: object = None, Dyw: object = None, Dyu: object = None) -> "Plant":
-        """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check; by default with its own.
+        """Returns the plant with the measurements y = Cy x + Dyu u + Dyw w after a check.
 
         Args:
-            Cy: a row for each measured signal.
-            Dyw: feedthrough from w to the measurements; zero if it is not given.
-            Dyu: feedthrough from the inputs to the measurements; zero if it is not given.
+            Cy: matrix with a row for each measured signal, shape (q, n). Default: the measurements of the plant.
+            Dyw: feedthrough from w to the measurements, shape (q, r). Default: zero.
+            Dyu: feedthrough from the inputs to the measurements, shape (q, m). Default: zero.
+
+        Returns:
+            The plant with these measurements, as a `GeneralizedPlant`.
 
         Raises:
-            InputError: the plant has no state, a matrix is not one of real finite numbers of its shape, no signal is measured, or
-                one that is next to zero in all.
+            InputError: the plant has no state, or no signal is measured. The error is also raised if a matrix has the wrong
+                shape or entries that are not real finite numbers. All entries of a measured signal must not be nearly zero.
         """
         check_states(len(self.A))
         changed: dict[str, Any] = {"Cy": Cy, "Dyw": Dyw, "Dyu": Dyu}
@@ -172,59 +181,64 @@ class Plant:
         return plant
 
     def acting(self, K: Array) -> Array:
-        """Returns the gain on C_y x + Dyw w that acts as K on the measurements, (I - K Dyu)^-1 K, shape (m, q).
+        """Returns (I - K Dyu)^-1 K, shape (m, q): the gain on C_y x + Dyw w with the same effect as K on the measurements.
 
         Raises:
-            InputError: the loop has no solution.
+            InputError: the algebraic loop has no solution.
         """
         return static_law(K).fed_back(self.Dyu).D
 
     def on_readings(self, G: Array) -> Array:
-        """Returns the gain on readings that acts as G acts on C_y x + Dyw w: the inverse of `acting`."""
+        """Returns the gain on the measurements with the same effect as G on C_y x + Dyw w. This is the inverse of `acting`."""
         return static_law(G).fed_back(-self.Dyu).D
 
     @property
     def without_weighting(self) -> "Plant":
-        """The plant without its filters, whose states are the last: a gain decides the stability of this part alone."""
+        """Plant without its weighting filters, whose states are the last. A gain decides the stability of this part only."""
         own = slice(len(self.A) - self.weights)
         parts = {"A": self.A[own, own], "B": self.B[own], "Bw": self.Bw[own], "C": self.C[:, own], "Cy": self.Cy[:, own]}
         return replace(self, weights=0, **parts)
 
     @property
     def without_feedthrough(self) -> "Plant":
-        """The plant with the measurements C_y x + Dyw w, for a law that is designed on them."""
+        """Plant with the measurements C_y x + Dyw w, without Dyu; control laws are designed for these measurements."""
         return replace(self, Dyu=None) if np.any(self.Dyu) else self
 
     @property
     def unmeasured(self) -> "Plant":
-        """The plant without measurements."""
+        """Plant without measurements."""
         return replace(self, Cy=None, Dyu=None, Dyw=None) if len(self.Cy) else self
 
     @property
     def plant(self) -> "Plant":
-        """The plant without measurements, as `MeasuredPlant` had it; use the plant itself."""
-        warnings.warn("`plant` goes with the next version; a MeasuredPlant is a plant itself", DeprecationWarning, stacklevel=2)
+        """Plant without measurements. Deprecated name from `MeasuredPlant`; use the plant itself."""
+        warnings.warn("`plant` will be removed in the next version; use the plant itself", DeprecationWarning, stacklevel=2)
         return self.unmeasured
 
     @property
     def through(self) -> Array:
-        """The feedthrough Dyu under its name in `MeasuredPlant`."""
-        warnings.warn("`through` goes with the next version; use Dyu", DeprecationWarning, stacklevel=2)
+        """Feedthrough Dyu. Deprecated name from `MeasuredPlant`; use `Dyu`."""
+        warnings.warn("`through` will be removed in the next version; use Dyu", DeprecationWarning, stacklevel=2)
         return self.Dyu
 
     def rows(self, kept: Sequence[int] | Array) -> "Plant":
-        """Returns the plant with some of its measurements, by index or mask."""
+        """Returns the plant with only some of its measurements, given by indices or by a mask."""
         return replace(self, Cy=self.Cy[kept], Dyu=self.Dyu[kept], Dyw=self.Dyw[kept])
 
     def with_disturbances(self, Dyw: Array) -> "Plant":
-        """Returns the plant with further disturbances that act on the measurements alone, by Dyw of shape (q, k)."""
+        """Returns the plant with k further disturbances that act on the measurements only.
+
+        Args:
+            Dyw: feedthrough from these disturbances to the measurements, shape (q, k).
+        """
         Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), Dyw.shape[1]))]) for matrix in (self.Bw, self.Dw))
         return replace(self, Bw=Bw, Dw=Dw, Dyw=np.hstack([self.Dyw, Dyw]))
 
     def with_states(self, k: int) -> "Plant":
-        """Returns the plant with the states of a law, x_c' = v or x_c[k+1] = v[k]: k more states, inputs and measurements.
+        """Returns the plant with k more states, inputs and measurements, for the states of a control law.
 
-        A law u = C x_c + D y, v = A x_c + B y is the static gain [D, C; B, A] of this plant.
+        The additional states satisfy x_c' = v, or x_c[k+1] = v[k] if the plant is discrete. A law u = C x_c + D y,
+        v = A x_c + B y is then the static gain [D, C; B, A] of the larger plant.
         """
         if not k:
             return self
@@ -243,10 +257,12 @@ class Plant:
         )
 
     def with_law(self, law: LinearLaw) -> "tuple[Plant, Feedback]":
-        """Returns the plant with the states of a law on y, and the law as a static gain on it; w acts on it through the law.
+        """Returns the plant with the states of a law on y, and the law as a static gain on the states of this plant.
+
+        If w is part of y, it acts on the larger plant through the law.
 
         Raises:
-            InputError: the loop through the measurements has no solution.
+            InputError: the algebraic loop through the measurements has no solution.
         """
         law, larger = law.fed_back(self.Dyu), self.with_states(law.states)
         if np.any(self.Dyw):
@@ -255,25 +271,28 @@ class Plant:
         return larger.unmeasured, Feedback(law_gain(law), larger.Cy)
 
     def closed(self, law: LinearLaw) -> "Plant":
-        """Returns the closed loop of a law on y, see `with_law` and `closed_loop`."""
+        """Returns the closed loop with a law on y; see `with_law` and `closed_loop`."""
         larger, gain = self.with_law(law)
         return larger.closed_loop(gain)
 
     @property
     def transposed(self) -> "Plant":
-        """The transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged."""
+        """Transposed plant, with w and z exchanged. Its state feedback is the output injection of y = C_y x + Dyw w."""
         return Plant(self.A.T, self.Cy.T, self.C.T, self.Bw.T, self.Dyw.T, self.Dw.T, dt=self.dt)
 
     @property
     def system_matrix(self) -> Array:
-        """[A B Bw; C D Dw], shape (n + d, n + m + r)."""
+        """Matrix [A B Bw; C D Dw], shape (n + d, n + m + r)."""
         return np.vstack([np.hstack([self.A, self.B, self.Bw]), np.hstack([self.C, self.D, self.Dw])])
 
     @cached_property
     def differences(self) -> "Plant":
-        """The plant in differences, (x[k+1] - x[k]) / dt instead of x': its entries tend to the continuous ones as dt falls.
+        """Plant in differences, in which (x[k+1] - x[k]) / dt replaces x'.
 
-        The result has the form of a continuous plant, but other poles and norms; a continuous plant is its own.
+        As dt decreases, its entries approach those of the continuous plant.
+
+        The result has the form of a continuous plant, but its poles and norms are not those of the plant. A continuous plant is
+        returned unchanged.
         """
         if self.dt is None:
             return self
@@ -281,15 +300,19 @@ class Plant:
         return replace(self, A=A, B=self.B / self.dt, Bw=self.Bw / self.dt, beyond=None, dt=None)
 
     def closed_loop(self, G: Array | Feedback) -> "Plant":
-        """Returns the plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and the error.
+        """Returns the plant with the feedback u = G x + (new u), equations (16) and (17).
 
-        For a huge gain, or one that cancels much of A, that rounding error may decide the norm.
+        A + B G and C + D G are rounded once, and `beyond` contains the rounding errors. For a very large gain, or a gain that
+        cancels most of A, these errors may determine the norm.
 
         Args:
             G: state gain, shape (m, n), or a gain from measurements.
 
+        Returns:
+            The closed loop, as a `GeneralizedPlant`.
+
         Raises:
-            InputError: the gain does not fit the plant.
+            InputError: the shape of the gain does not fit the plant.
         """
         G = check("G", G, Matrix | Feedback)
         shape = (len(G.K), G.Cy.shape[1]) if isinstance(G, Feedback) else G.shape
@@ -302,17 +325,17 @@ class Plant:
         return replace(self, A=high[:n], C=high[n:], Cy=Cy, beyond=beyond, weights=0)
 
     def in_coordinates(self, T: Array) -> "Plant":
-        """Returns the same plant with state T^-1 x, T regular, shape (n, n)."""
+        """Returns the same plant with the state T^-1 x, for a regular matrix T of shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return replace(self, A=A, B=B, Bw=Bw, C=self.C @ T, Cy=self.Cy @ T, beyond=None, weights=0)
 
     def with_inputs(self, W: Array) -> "Plant":
-        """Returns the plant with inputs v that act as u = W v, W of shape (m, k)."""
+        """Returns the plant with the inputs v, where u = W v and W has shape (m, k)."""
         return replace(self, B=self.B @ W, D=self.D @ W, Dyu=self.Dyu @ W, beyond=None, weights=0)
 
     def independent_inputs(self) -> Array:
-        """Returns W, shape (m, k): an orthonormal basis of the combinations of inputs that have an effect; I if all have."""
+        """Returns an orthonormal basis W of the input combinations with an effect, shape (m, k); I if all have an effect."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
@@ -325,10 +348,13 @@ class Plant:
         return np.linalg.qr((directions[:k] / columns).T)[0]
 
     def frequency_response(self, omega: Array) -> Array:
-        """Returns T(j omega) from w to z without control, complex, shape (F, d, r), by (19); T(e^(j omega dt)) if discrete.
+        """Returns the frequency response T(j omega) from w to z without control (19); for a discrete plant T(e^(j omega dt)).
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
+
+        Returns:
+            The response at each frequency, complex, shape (F, d, r).
         """
         n, s = len(self.A), 1j * np.asarray(omega, dtype=float)[:, None]
         shifted = np.broadcast_to(-self.A, (len(s), n, n)).astype(complex)
@@ -336,16 +362,16 @@ class Plant:
         return self.C @ np.linalg.solve(shifted, np.broadcast_to(self.Bw.astype(complex), (len(s), *self.Bw.shape))) + self.Dw
 
 
-GeneralizedPlant = Plant  # its public name
+GeneralizedPlant = Plant  # public name
 
 
 def law_gain(law: LinearLaw) -> Array:
-    """Returns [D, C; B, A] of a law, its gain on the plant of `Plant.with_states`, shape (m + k, q + k)."""
+    """Returns [D, C; B, A] of a law, shape (m + k, q + k): its static gain on the plant of `Plant.with_states`."""
     return np.block([[law.D, law.C], [law.B, law.A]]) if law.states else law.D
 
 
 def gain_law(gain: Array, m: int, q: int, dt: float | None = None) -> LinearLaw:
-    """Returns the law of a gain [D, C; B, A]: the inverse of `law_gain`."""
+    """Returns the law from its static gain [D, C; B, A]. This is the inverse of `law_gain`."""
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q], sample_period=dt)
 
 
@@ -353,10 +379,10 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
     """Returns [A; C] + [B; D] G, rounded once, and the rounding error.
 
     Args:
-        open_loop: open loop [A; C], shape (n + d, n).
-        inputs: inputs [B; D], shape (n + d, m).
+        open_loop: matrices [A; C], shape (n + d, n).
+        inputs: matrices [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
-        beyond: true A and C less their floats, shape (n + d, n); None if they are exact.
+        beyond: true A and C minus their floats, shape (n + d, n); None if A and C are exact.
     """
     gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
     moved, low = product(inputs, gain)
@@ -366,7 +392,7 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
 
 
 def _sample_period(dt: object) -> float:
-    """Returns the seconds between samples after a check: a number above zero, in range."""
+    """Returns the sample period [s] after a check that it is a positive number within the limits."""
     allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
     try:
         if isinstance(dt, bool | np.bool_):
@@ -380,32 +406,34 @@ def _sample_period(dt: object) -> float:
 
 
 def real_matrix(value: object, name: str, expected: str) -> Array:
-    """Returns a copy of a matrix after a check: real numbers, none beyond `LARGEST`, and not too many rows or columns.
+    """Returns a copy of a matrix after a check: real numbers up to `LARGEST`, and not too many rows or columns.
 
     Args:
-        value: the matrix, or nested lists.
+        value: array or nested lists.
+        name: name of the matrix, for the message.
+        expected: expected shape, for the message.
 
     Raises:
-        InputError: the matrix fails the check; the message names it.
+        InputError: the matrix fails the check.
     """
     return arrays.real_matrix(value, name, LARGEST, expected)[0]
 
 
 def check_states(n: int) -> None:
-    """Raises an InputError if a plant has no state; parts that are split off a plant need none."""
+    """Raises an InputError if a plant has no state. Only plants of the user are checked; parts of a plant may have no state."""
     if not n:
         raise InputError("A has shape (0, 0), a plant without states; give at least one")
 
 
 def check_inputs(plant: Plant) -> None:
-    """Raises an InputError if a plant has no state or no input, where nothing can be designed."""
+    """Raises an InputError if a plant has no state or no input, because then no controller can be designed."""
     check_states(len(plant.A))
     if not plant.B.shape[1]:
         raise InputError("B has no columns, a plant without inputs; give one column for each force")
 
 
 def check_continuous(plant: Plant) -> None:
-    """Raises an InputError for a discrete plant, if a formula holds for continuous ones only."""
+    """Raises an InputError for a discrete plant; used by functions whose formulas hold for continuous plants only."""
     if plant.dt is not None:
         raise InputError(f"the plant is discrete (dt = {plant.dt:g}), but this function needs a continuous plant; give one")
 
@@ -414,7 +442,7 @@ def check_posed(plant: Plant) -> None:
     """Checks that a plant has a disturbance and a controlled output.
 
     Raises:
-        InputError: Bw, Dw and Dyw are zero, or C and D are.
+        InputError: Bw, Dw and Dyw are all zero, or C and D are both zero.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw) or np.any(plant.Dyw)):
         zero = "Bw, Dw and Dyw" if len(plant.Dyw) else "Bw and Dw"
@@ -424,7 +452,7 @@ def check_posed(plant: Plant) -> None:
 
 
 def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
-    """Returns a gain on some of q measurements as one on all, with zeros for the others, shape (m, q)."""
+    """Returns a gain on some of q measurements as a gain on all of them, with zeros for the others, shape (m, q)."""
     whole = np.zeros((len(gain), q))
     whole[:, kept] = gain
     return whole

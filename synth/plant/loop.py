@@ -1,18 +1,20 @@
-"""A plant under a linear law: its states from sample to sample, its responses over time, and its frequency responses.
+"""Closed loop of a plant and a linear control law: its states at the samples, its time responses, and its frequency responses.
 
-    x' = A x + B u + E d,    y = C x + D u + F d,
+    x' = A x + B u + E d,    y = C x + D u + F d.
 
-where the forces u follow from the law by some of the outputs y, and d are the plant's other inputs. Road, loads, noise of the
-readings and the forces by a preview are all such inputs. In continuous time the law acts at once.
+The law computes the forces u from some of the outputs y. The other inputs d of the plant include the road, loads, measurement
+noise and forces from a road preview. In continuous time, the law acts without delay.
 
-Sampled every T seconds, the law reads y just before its new force acts. So a reading contains the force that acted until then.
-Over each part of the period a force acts that was computed some samples ago. The state at a sample is
+In discrete time, the law samples y every T seconds, just before its new force starts to act. A measurement therefore contains
+the force that acted before. Over each part of the period, a force acts that was computed some samples ago. The state at a
+sample is
 
     [x; states of the law; u[k-1]; ...; u[k-p]],
 
-with previous forces that still act, or that a reading contains.
+with the previous forces that still act, or that a measurement contains.
 
-In frequency, a force that was computed j samples ago is exp(-j s T) times the new one, and needs no state.
+In the frequency domain, a force that was computed j samples ago is exp(-j s T) times the new force. A delayed force thus needs
+no additional state.
 """
 
 import math
@@ -28,13 +30,13 @@ from models.common.checks import CheckedFields, Index, PositiveTime, accept_form
 from models.laws.linear import LinearLaw
 from synth.plant.state_space import Exponential, StateSpace, spectral_radius
 
-LAW_STATE, REQUESTED = "law_state_", ".requested"  # of names of outputs: a state of the law; what it computes for a force
+LAW_STATE, REQUESTED = "law_state_", ".requested"  # prefix and suffix of output names: states of the law, forces it requests
 
 
 @accept_former_names(late="delay_samples")
 @dataclass(frozen=True, eq=False)
 class HoldInterval(CheckedFields):
-    """A part of the period in which one force is held.
+    """Part of the sample period in which one force is held constant.
 
     Attributes:
         duration: duration of the interval [s].
@@ -46,7 +48,7 @@ class HoldInterval(CheckedFields):
 
 
 def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
-    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
+    """Returns the parts of a sample period [s] for a delay [samples]: one part, or two if the delay has a fractional part."""
     late = math.floor(delay)
     share = delay - late
     pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
@@ -55,16 +57,16 @@ def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A plant under a linear law.
+    """Closed loop of a plant and a linear control law.
 
     Attributes:
-        plant: the plant, n states: in continuous time, or from step to step, if its inputs are held.
+        plant: plant with n states, either in continuous time, or in discrete time with held inputs.
         law: law from the measured outputs to the forces, as designed; see `acting_law`.
         measured: names of the measured outputs.
-        forces: names of the m inputs that the law sets.
-        hold: parts of the sample period in order, each with the delay of its force; empty in continuous time.
-        step: time over which disturbances are held [s], of which the parts of the period are multiples.
-        exponential: the matrix exponential, by which a step is computed; `taylor4` predicts an RK4 integrator.
+        forces: names of the m inputs that the law computes.
+        hold: parts of the sample period in order of time, each with the delay of its force; empty in continuous time.
+        step: time over which disturbances are held [s]; the parts of the period are multiples of this time.
+        exponential: function that computes the matrix exponential of a step. `taylor4` predicts the steps of an RK4 integrator.
     """
 
     plant: StateSpace
@@ -77,10 +79,10 @@ class Loop:
 
     @cached_property
     def acting_law(self) -> LinearLaw:
-        """The law as it runs here: sampled at the period, or in continuous time.
+        """Law as it runs in this loop: discrete with the sample period of the loop, or in continuous time.
 
         Raises:
-            InputError: the law cannot be run so, see `LinearLaw`.
+            InputError: the law cannot be converted; see `LinearLaw`.
         """
         if not self.law.states:
             return self.law
@@ -88,27 +90,30 @@ class Loop:
 
     @cached_property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of the plant's other inputs."""
+        """Names of the inputs of the plant that are not forces of the law."""
         return tuple(name for name in self.plant.inputs if name not in self.forces)
 
     @cached_property
     def law_states(self) -> tuple[str, ...]:
-        """Names of the states of the law among the outputs."""
+        """Names of the outputs that are states of the law."""
         return tuple(f"{LAW_STATE}{i}" for i in range(1, self.law.states + 1))
 
     @cached_property
     def requested_forces(self) -> tuple[str, ...]:
-        """Names, among the outputs, of the forces that the law computes, without what adds to them."""
+        """Names of the outputs that are the forces computed by the law, without the forces added from outside."""
         return tuple(f"{name}{REQUESTED}" for name in self.forces)
 
     @property
     def direct(self) -> Array:
-        """Gain from acting forces to requested ones at once, by measurements that contain forces, shape (m, m)."""
+        """Immediate gain from acting forces to requested forces, through measurements that contain forces, shape (m, m)."""
         return self.acting_law.D @ self.plant.part(self.measured, self.forces).D
 
     @property
     def direct_radius(self) -> float:
-        """Spectral radius of `direct`: from 1 on, a force that is sampled, or late by any time, grows through its own reading."""
+        """Spectral radius of `direct`.
+
+        If it is 1 or more, a force that is sampled or delayed grows through its own measurement.
+        """
         return spectral_radius(self.direct)
 
     @property
@@ -118,13 +123,13 @@ class Loop:
 
     @cached_property
     def by_step(self) -> tuple[int, ...]:
-        """Delay of the force that acts in each step of the period [samples]."""
+        """Delay of the force that acts in each step of the sample period [samples]."""
         assert self.step is not None, "the disturbances are held over steps"
         return tuple(part.delay_samples for part in self.hold for _ in range(round(part.duration / self.step)))
 
     @cached_property
     def stored_forces(self) -> int:
-        """Number p of previous samples whose forces are among the states."""
+        """Number p of previous samples whose forces are states of the loop."""
         if not self.hold:
             return 0
         measured = self.plant.D[self.plant.rows(self.measured)][:, self.plant.columns(self.forces)].any()
@@ -132,13 +137,13 @@ class Loop:
 
     @cached_property
     def _forced_plant(self) -> StateSpace:
-        """The plant with the forces as its first inputs."""
+        """Plant with the forces as its first inputs."""
         inputs = (*self.forces, *self.disturbances)
         return self.plant if inputs == self.plant.inputs else self.plant.part(self.plant.outputs, inputs)
 
     @cached_property
     def _held_plant(self) -> StateSpace:
-        """The same from step to step if disturbances are held over steps."""
+        """Plant with the forces first, discretised over a step if disturbances are held over steps."""
         plant = self._forced_plant
         if self.step is None or plant.dt is not None:
             return plant
@@ -146,28 +151,28 @@ class Loop:
         return replace(plant, A=Phi, B=Gamma, dt=self.step)
 
     def hold_matrices(self, duration: float) -> tuple[Array, Array]:
-        """Returns Phi and Gamma of the plant whose inputs, forces first, are held for a duration [s]."""
+        """Returns Phi and Gamma of the plant for inputs that are held for a duration [s]. The forces are the first inputs."""
         return self._held_plant.hold_matrices(duration, self.exponential)
 
     @cached_property
     def open_loop(self) -> StateSpace:
-        """The loop that is cut at all forces: its inputs are the forces and the disturbances.
+        """Open loop, cut at all forces. Its inputs are the forces and the disturbances.
 
-        Its outputs are the plant's, the states of the law, and the forces that the law requests. In discrete time the forces are
-        those that are computed at a sample. Disturbances then are held over the period, and outputs are those just behind the
-        sample.
+        Its outputs are those of the plant, the states of the law, and the forces that the law requests. In discrete time, the
+        force inputs are the forces computed at a sample. Disturbances are then held over the sample period, and the outputs are
+        those just after the sample.
         """
         plant = self._forced_plant
         law, measured, m, p = self.acting_law, plant.rows(self.measured), len(self.forces), self.stored_forces
         n, k = len(plant.A), law.states
         N = n + k + p * m
-        # Rows select from [x; x_c; previous forces; u; d]; all that follows is a gain from these.
+        # Rows select from [x; x_c; previous forces; u; d]. The following signals are matrices that act on this vector.
         x, x_c, previous, u, d = np.split(np.eye(N + len(plant.inputs)), [n, n + k, N, N + m])
         forces = [u, *(previous[i * m : (i + 1) * m] for i in range(p))]  # by age [samples]
         acting = before = u
         if self.hold:
             acting, last = forces[self.hold[0].delay_samples], self.hold[-1].delay_samples + 1
-            before = forces[last] if p >= last else 0 * u  # the force that acts until the sample, where a reading contains it
+            before = forces[last] if p >= last else 0 * u  # force that acts until the sample, if a measurement contains it
         y = plant.C @ x + plant.D @ np.vstack([acting, d])
         readings = plant.C[measured] @ x + plant.D[measured] @ np.vstack([before, d])
         outputs = np.vstack([y, x_c, law.D @ readings + law.C @ x_c])
@@ -183,15 +188,15 @@ class Loop:
 
     @cached_property
     def closed_loop(self) -> StateSpace:
-        """The same with the requested forces added to the forces, which then are what adds to the requested ones from outside.
+        """Closed loop: the requested forces are added to the force inputs, which are then forces from outside.
 
         Raises:
-            InputError: a continuous loop whose measurements contain its forces has no solution.
+            InputError: the algebraic loop through measurements that contain forces has no solution in continuous time.
         """
         return self.open_loop.closed(self.requested_forces, self.forces)
 
     def cut(self, forces: Sequence[str]) -> StateSpace:
-        """Returns the loop that is cut at some forces, with the others closed: from the forces that act to those requested."""
+        """Returns the loop cut at some forces and closed at the others: from the acting forces to the requested forces."""
         others = [name for name in self.forces if name not in forces]
         system = self.open_loop.closed([f"{name}{REQUESTED}" for name in others], others)
         return system.part([f"{name}{REQUESTED}" for name in forces], forces)
@@ -199,21 +204,21 @@ class Loop:
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
 def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], start: Array | None = None) -> Array:
-    """Returns outputs of a sampled loop at every step, shape (..., T, p).
+    """Returns outputs of a sampled-data loop at every step, shape (..., T, p).
 
-    One recursion leads from sample to sample. The steps between the samples are then taken for all samples side by side.
+    One recursion computes the states at the samples. The steps between samples are then computed for all samples together.
 
     Args:
-        loop: the sampled loop, with a step.
-        outputs: names of p outputs; a law's states and its requested forces are those of the last sample.
-        inputs: disturbances at every step, held over it, and what adds to the requested forces, at the samples, by name, each of
-            shape (..., T).
-        start: states of the plant at the start, shape (n,); None for rest.
+        loop: sampled-data loop with a step.
+        outputs: names of p outputs. States and requested forces of the law are those of the last sample.
+        inputs: inputs by name, each of shape (..., T). Disturbances are held over each step. Values for a force are added to
+            the requested force at the samples.
+        start: initial states of the plant, shape (n,). Default: zero.
     """
     system, lates, names = loop.closed_loop, loop.by_step, list(inputs)
     *runs, T = next(iter(inputs.values())).shape
     P, n, m, columns = len(lates), len(loop.plant.A), len(loop.forces), np.array(system.columns(names), dtype=int)
-    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m  # True for a disturbance
+    K, rows, outside = -(-T // P), system.rows(outputs), columns >= m  # `outside` is True for disturbances
     d = np.zeros((*runs, K * P, len(names)))
     for i, values in enumerate(inputs.values()):
         d[..., :T, i] = values
@@ -221,7 +226,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     at_sample, by_step = d[..., 0, :], d[..., outside]
     push = at_sample @ system.B[:, columns].T
     Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
-    if P > 1:  # what disturbances do as they change within the period
+    if P > 1:  # effect of disturbances that change within the period
         more, into = np.zeros_like(push[..., :n]), Gamma[:, columns[outside]].T
         for i in range(1, P):
             more = more @ Phi.T + (by_step[..., i, :] - by_step[..., 0, :]) @ into
@@ -237,7 +242,7 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
     for i in np.flatnonzero(~outside):
         computed[..., columns[i]] += at_sample[..., i]
     plant, acting = loop.plant, [*range(m), *columns[outside]]
-    steps = np.empty((*runs, K, P, n + len(acting)))  # [x; forces; disturbances] at every step
+    steps = np.empty((*runs, K, P, n + len(acting)))  # [x; forces; disturbances] in every step
     steps[..., 0, :n], steps[..., n + m :] = states[..., :n], by_step
     into = np.hstack([Phi, Gamma[:, acting]]).T
     for i, late in enumerate(lates):
@@ -253,22 +258,22 @@ def respond(loop: Loop, outputs: Sequence[str], inputs: Mapping[str, Array], sta
 
 
 def _disturbances(loop: Loop, drive: Mapping[str, Array]) -> tuple[list[int], Array]:
-    """Returns the columns of the driven disturbances in `Loop.open_loop`, and their amplitudes, shape (F, d, c)."""
+    """Returns the columns of the given disturbances in `Loop.open_loop`, and their amplitudes, shape (F, d, c)."""
     names = [name for name in drive if name not in loop.forces]
     return loop.open_loop.columns(names), np.stack([drive[name] for name in names], axis=1)
 
 
 def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array, Array]:
-    """Returns the response of a sampled loop to sinusoidal inputs at its samples.
+    """Returns the response of a sampled-data loop to sinusoidal inputs, at the samples.
 
-    With j samples of delay as z^-j, the states [x; states of the law] and the forces follow from
+    A delay of j samples is the factor z^-j. The states s = [x; states of the law] and the forces therefore satisfy
 
         z s = A s + G u + E d,    u = C s + H u + F d.
 
-    Arguments as for `frequency_response`.
+    The arguments are those of `frequency_response`.
 
     Returns:
-        z, shape (F, 1, 1); [x; states of the law], shape (F, n + k, c); and the computed forces, shape (F, m, c).
+        z, shape (F, 1, 1); the states s, shape (F, n + k, c); and the computed forces, shape (F, m, c).
     """
     system, n, m = loop.open_loop, len(loop.plant.A) + loop.law.states, len(loop.forces)
     z, (columns, d) = np.exp(1j * omega * loop.period)[:, None, None], _disturbances(loop, drive)
@@ -283,7 +288,7 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
         loops = np.eye(m) - H
         C, outside = np.linalg.solve(loops, np.broadcast_to(C, (len(z), m, n))), np.linalg.solve(loops, outside)
     push = system.B[:n, columns] @ d + G @ outside.astype(complex)
-    if len(loop.by_step) > 1:  # beyond disturbances that are held over the period
+    if len(loop.by_step) > 1:  # disturbances change within the period
         Phi, Gamma = loop.hold_matrices(loop.step or 0.0)
         change, more, turn = Gamma[:, columns] @ d, np.zeros_like(push[:, : len(loop.plant.A)]), _turn(loop, omega)
         for i in range(1, len(loop.by_step)):
@@ -294,14 +299,19 @@ def _harmonic(loop: Loop, drive: Mapping[str, Array], omega: Array) -> tuple[Arr
 
 
 def _turn(loop: Loop, omega: Array) -> Array:
-    """Returns exp(j omega h) of a step, shape (F, 1, 1)."""
+    """Returns exp(j omega h) for a step h, shape (F, 1, 1)."""
     return np.exp(1j * omega * (loop.step or 0.0))[:, None, None]
 
 
 def _by_step(
     loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array
 ) -> tuple[StateSpace, list[Array], list[Array], Array]:
-    """Returns the plant from forces and driven disturbances, and over exp(j omega t): its states and forces by step, and d."""
+    """Returns the harmonic response in every step of the sample period, relative to exp(j omega t).
+
+    Returns:
+        The plant from forces and given disturbances to the outputs. Its states and the acting forces in each step. The
+        amplitudes of the disturbances.
+    """
     plant = loop.plant.part(outputs, (*loop.forces, *(name for name in drive if name not in loop.forces)))
     (z, states, forces), (columns, d) = _harmonic(loop, drive, omega), _disturbances(loop, drive)
     (Phi, Gamma), m, turn = loop.hold_matrices(loop.step or 0.0), len(loop.forces), _turn(loop, omega)
@@ -314,20 +324,25 @@ def _by_step(
 
 
 def harmonic_states(loop: Loop, drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns the states of `Loop.closed_loop` at the samples, shape (F, N, c). Arguments as for `frequency_response`."""
+    """Returns the states of `Loop.closed_loop` at the samples for sinusoidal inputs, shape (F, N, c).
+
+    The arguments are those of `frequency_response`.
+    """
     z, states, forces = _harmonic(loop, drive, omega)
     return np.concatenate([states, *(forces / z ** (j + 1) for j in range(loop.stored_forces))], axis=1)
 
 
 def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> Array:
-    """Returns outputs of the plant under sinusoidal inputs, complex, shape (F, p, c).
+    """Returns outputs of the plant for sinusoidal inputs, complex, shape (F, p, c).
 
-    Where the period has several steps, held forces add other frequencies; then this is the share at the input's own frequency.
+    If the sample period has several steps, held forces add other frequencies. The result is then the part at the frequency of
+    the input.
 
     Args:
-        loop: the loop, in continuous time or sampled.
+        loop: loop in continuous time, or sampled-data loop.
         outputs: names of p outputs of the plant.
-        drive: amplitudes of disturbances at the start of a step, and of what adds to the requested forces, by name, (F, c).
+        drive: complex amplitudes by name, each of shape (F, c). Disturbances are given at the start of a step. Values for a
+            force are added to the requested force.
         omega: angular frequencies [rad/s], shape (F,).
     """
     if not loop.stored_forces and (not loop.hold or len(loop.by_step) == 1):
@@ -339,19 +354,18 @@ def frequency_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, A
 
 
 def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Array], omega: Array) -> tuple[Array, Array]:
-    """Returns outputs of a sampled loop at every step of its period under sinusoidal inputs exp(j omega t), from t = 0, complex.
+    """Returns outputs of a sampled-data loop in every step of its sample period, for the inputs exp(j omega t).
 
-    Between samples a held force adds other frequencies, of which `frequency_response` has only the share at omega.
-
-    Arguments as for `frequency_response`.
+    The sample period starts at t = 0. Between samples, held forces add other frequencies. `frequency_response` contains only
+    the part at omega. The arguments are those of `frequency_response`.
 
     Returns:
-        The outputs, shape (P + 1, F, p, c), the last at the start of the next period; and their jumps where the force of a step
-        begins, shape (P, F, p, c).
+        The outputs, complex, shape (P + 1, F, p, c), where the last entry is the start of the next period. The jumps of the
+        outputs at the times when the force of a step starts to act, complex, shape (P, F, p, c).
     """
     plant, x, u, d = _by_step(loop, outputs, drive, omega)
     turn, through = _turn(loop, omega), plant.D[:, : len(loop.forces)]
-    before = [u[-1] / turn, *(one / turn for one in u[:-1])]  # u[-1] is over exp(j omega t), so of the previous period, too
+    before = [u[-1] / turn, *(one / turn for one in u[:-1])]  # u[-1], relative to exp(j omega t), also holds in the last period
     values, jumps = [], []
     for i, (state, now, last) in enumerate(zip(x, u, before, strict=True)):
         values.append((plant.C @ state + plant.D @ np.concatenate([now, d], axis=1)) * turn**i)
@@ -360,6 +374,6 @@ def stepwise_response(loop: Loop, outputs: Sequence[str], drive: Mapping[str, Ar
 
 
 def _delay_forces(forces: Array, samples: int) -> Array:
-    """Returns forces of shape (..., K, m) so many samples later, from 0."""
+    """Returns forces of shape (..., K, m), delayed by a number of samples; they start with zeros."""
     count = forces.shape[-2]
     return np.concatenate([np.zeros_like(forces[..., :samples, :]), forces[..., : max(count - samples, 0), :]], axis=-2)

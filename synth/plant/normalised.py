@@ -1,8 +1,8 @@
-"""Normalisation of a plant and its measurements to numbers of size one, and the way back for a law.
+"""Normalisation of a plant and its measurements to numbers near 1, and the transformation of a law back to the given units.
 
-The normalised plant is bit for bit independent of the given units if these differ by powers of two. So a design does not
-depend on them either. A design depends only on the span of the measurements: they are replaced by an orthonormal basis, and
-dependent signals are left out.
+If the given units differ by powers of two, the normalised plant is the same bit for bit. A design therefore does not depend on
+the units. A design depends only on the span of the measurements. The measurements are therefore replaced by an orthonormal
+basis, and dependent measurements are omitted.
 """
 
 from collections.abc import Sequence
@@ -20,18 +20,18 @@ from synth.plant.units import OwnUnits, independent, nearest_power, orthonormal_
 
 @dataclass(frozen=True, eq=False)
 class NormalisedPlant:
-    """A plant and its measurements in the plant's own units.
+    """Plant and its measurements in units that make the entries of the matrices near 1.
 
     Attributes:
-        plant: n states, m inputs that are independent, numbers of size one; so time, w and z have units of its own, too. [Cy Dyw]
-            has k orthonormal rows.
-        norm: value in these units of a norm of one in the given units.
-        independent_rows: indices of the given measurements that do not follow from earlier ones.
+        plant: normalised plant with n states and m independent inputs. Time, w and z have their own units, too. [Cy Dyw] has k
+            orthonormal rows.
+        norm: value that a norm of 1 in the given units has in these units.
+        independent_rows: indices of the given measurements that do not depend on earlier ones.
         q: number of given measurements.
         units: units of states and inputs.
         rate: rate of the time scale [rad/s].
-        inputs: W, shape (m', m): u = W v of the given inputs, each in its own unit.
-        rows: S, shape (k, k): the kept measurements are S times those of this plant.
+        inputs: matrix W with u = W v, shape (m', m), where u are the m' given inputs in their own units.
+        rows: matrix S, shape (k, k). The independent measurements are S times those of the normalised plant.
     """
 
     plant: Plant
@@ -45,7 +45,7 @@ class NormalisedPlant:
 
     @classmethod
     def of(cls, plant: Plant) -> "NormalisedPlant":
-        """Returns a plant with some disturbance, output and measurement in its own units.
+        """Normalises a plant that has a disturbance, a controlled output and a measurement.
 
         Raises:
             InputError: the plant is discrete.
@@ -75,21 +75,21 @@ class NormalisedPlant:
 
     @cached_property
     def from_given(self) -> Array:
-        """The measurements of this plant from the given ones, shape (k, q)."""
+        """Matrix from the given measurements to the measurements of the normalised plant, shape (k, q)."""
         from_y = np.zeros((len(self.independent_rows), self.q))
-        # Row by row: pivots would depend on units.
+        # A triangular solution row by row has no pivots, which would depend on the units.
         from_y[:, self.independent_rows] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
         return from_y
 
     def back(self, law: LinearLaw) -> LinearLaw:
-        """Returns a law for the given plant, on all q measurements; its states keep these units."""
+        """Returns a law for the given plant on all q measurements. The states of the law keep the normalised units."""
         from_y = self.from_given
         inputs = self.units.inputs[:, None] * self.inputs
         return LinearLaw(self.rate * law.A, self.rate * law.B @ from_y, inputs @ law.C, inputs @ law.D @ from_y)
 
 
 def missing(D: Array, share: float) -> Array:
-    """Returns rows that raise all singular values of D, joined by them, to a share; shape (m, m)."""
+    """Returns rows that, if added to D, raise all singular values of D to at least `share`; shape (m, m)."""
     m = D.shape[1]
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(m)])[:m]

@@ -1,4 +1,4 @@
-"""Common frame of every computation: one thread, and failures that are raised, never returned as an empty result."""
+"""Common setting of all computations: one thread, and failures that raise errors instead of returning empty results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,33 +10,33 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """Failure of a design. The message contains the problem, its usual cause and what to do."""
+    """Failure of a design. The message describes the problem, its usual cause and what to do."""
 
     exit_code = 1  # the input is valid
 
 
 class InfeasibleError(DesignError):
-    """Proof that no such controller stabilises the plant. The message names the mode, or what else forbids it."""
+    """Proof that no controller of the requested kind stabilises the plant. The message gives the mode or another reason."""
 
 
 class NoSolutionError(DesignError):
-    """An LMI problem has no solution with eta > 0. There may be a controller nevertheless."""
+    """Failure because an LMI problem has no solution with eta > 0. A controller may still exist."""
 
 
 class TooLargeError(DesignError):
-    """The LMI problem has more unknowns than its central path is followed with."""
+    """Failure because an LMI problem has more unknowns than the central-path method allows."""
 
 
-# Shapes that do not fit are a fault of this package's own, even where numpy calls them a LinAlgError.
+# A wrong shape is a programming error of this package, even if numpy raises a LinAlgError for it.
 OF_SHAPES = ("dimension", "square", "shape")
-NUMERIC = (  # what numpy, scipy, LAPACK and Python say
+NUMERIC = (  # words in messages of numpy, scipy, LAPACK and Python about numerical failures
     *("infs", "NaN", "finite", "singular", "hermitian", "math domain error", "illegal value"),
     *("Reordering", "ill-conditioned", "converge"),
 )
 
 
 def of_rounding(error: BaseException) -> bool:
-    """Returns True if an error comes from rounding, as for a singular matrix, not from a mistake like a wrong shape."""
+    """Returns True if an error is due to rounding (such as a singular matrix), and not to a mistake (such as a wrong shape)."""
     message = str(error)
     if isinstance(error, np.linalg.LinAlgError):
         return not any(word in message for word in OF_SHAPES)
@@ -47,7 +47,7 @@ def of_rounding(error: BaseException) -> bool:
 
 @contextmanager
 def up_to_rounding() -> Iterator[None]:
-    """Ends the block silently on an error that comes from rounding, as in a descent on the border of stability."""
+    """Ends the block silently if an error is due to rounding, for example in a descent at the limit of stability."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -57,12 +57,12 @@ def up_to_rounding() -> Iterator[None]:
 
 @contextmanager
 def numerics() -> Iterator[None]:
-    """Limits BLAS to one thread in a block or decorated function, silences overflow, and turns failed linear algebra into errors.
+    """Runs a block or a decorated function with one BLAS thread and without warnings about overflow.
 
-    Results that are not finite are refused where they would count.
+    Failed linear algebra raises a DesignError. Results that are not finite are rejected where they are used.
 
     Raises:
-        DesignError: numpy or scipy found a matrix that is singular, or not finite.
+        DesignError: numpy or scipy reports a matrix that is singular or not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
         try:

@@ -1,9 +1,9 @@
 """Adaptive quadrature over a frequency band.
 
-The band is divided into panels no longer than a share of the distance to the nearest pole in the complex plane. So a spectrum is
-equally smooth on all panels, and a resonance of damping 1e-6 only takes some more of them. Each panel has Gauss-Legendre nodes,
-exact for polynomials up to degree 19. The error estimate is the integrand's content of degrees 8 and 9, far more than the true
-error. Panels with a large estimate are halved.
+The band is divided into panels. The length of a panel is at most a fraction of the distance to the nearest pole in the complex
+plane. A spectrum is therefore equally smooth on all panels, and even a resonance with a damping of 1e-6 needs only a few more
+panels. Each panel has Gauss-Legendre nodes, which are exact for polynomials up to degree 19. The error estimate is the part of
+the integrand with degrees 8 and 9, which is far larger than the true error. Panels with a large estimate are halved.
 """
 
 from collections.abc import Callable
@@ -13,26 +13,26 @@ import numpy as np
 
 from models.common.arrays import Array
 
-SHARE = 0.7  # length of a panel over the distance to the nearest pole
-ORDER = 10  # nodes of a panel
+SHARE = 0.7  # length of a panel relative to the distance to the nearest pole
+ORDER = 10  # number of nodes in a panel
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T  # moments with the last two polynomials
+LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T  # weights for moments of degrees 8 and 9
 ENOUGH = 1e-5  # allowed error estimate of a panel, relative to the integral
-HALVINGS = 20
-MOST_PANELS = 20_000  # 200 000 frequencies; if they do not suffice, the error estimate shows it
-NOTHING = 1e-24  # of the largest integral: a smaller one is rounding, as the roll of a car whose tracks are alike
-FINEST = 1e-12  # shortest panel, relative to its frequency
+HALVINGS = 20  # largest number of rounds in which panels are halved
+MOST_PANELS = 20_000  # limit of 200 000 frequencies; if they do not suffice, the error estimate is large
+NOTHING = 1e-24  # relative to the largest integral; smaller ones are rounding, such as the roll of a car with equal tracks
+FINEST = 1e-12  # length of the shortest panel, relative to its frequency
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """A function at the quadrature nodes of a band.
+    """Values of a function at the quadrature nodes of a frequency band.
 
     Attributes:
-        omega: nodes, ascending [rad/s], shape (F,).
-        share: quadrature weights [Hz], shape (F,): an integral over frequency is `share @ integrand`.
+        omega: nodes in ascending order [rad/s], shape (F,).
+        share: quadrature weights [Hz], shape (F,). An integral over frequency is `share @ integrand`.
         values: values of the function at the nodes, shape (F, ...).
-        error: estimate of the largest relative error of a checked integral.
+        error: estimate of the largest relative error of an integral that was checked.
     """
 
     omega: Array
@@ -41,20 +41,21 @@ class Band:
     error: float
 
     def before(self, other: "Band") -> "Band":
-        """Concatenates two adjacent bands. The error is that of `other`, whose integrals dominate."""
+        """Returns this band followed by the adjacent band `other`. The error is that of `other`, whose integrals dominate."""
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
 
     def turning(self, time: float) -> Array:
-        """Returns complex weights, shape (F,): `turning(t) @ f` is the integral of f exp(j omega t) over frequency.
+        """Returns complex weights for Fourier integrals, shape (F,).
 
-        It is accurate for any t [s]: on a panel f is the polynomial through its nodes. The integral of P_l(x) exp(j a x) from -1
-        to 1 is 2 j^l j_l(a), with the Legendre polynomial P_l and the spherical Bessel function j_l.
+        `turning(t) @ f` is the integral of f exp(j omega t) over frequency [Hz]. The integral is accurate for any t [s],
+        because f is treated as the polynomial through its nodes on each panel. With the Legendre polynomial P_l and the
+        spherical Bessel function j_l, the integral of P_l(x) exp(j a x) from -1 to 1 is 2 j^l j_l(a).
         """
-        from scipy import special  # takes a tenth of a second
+        from scipy import special  # the import takes 0.1 s
 
         share, middle = self.share.reshape(-1, ORDER), self.omega.reshape(-1, ORDER).mean(axis=1)
-        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the weights' sum is 2
+        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the Gauss-Legendre weights have the sum 2
         moments = (2 * degrees + 1) * 1j**degrees * special.spherical_jn(degrees, half[:, None] * time)
         turned = moments @ np.polynomial.legendre.legvander(NODES, ORDER - 1).T
         return (share * turned * np.exp(1j * middle * time)[:, None]).ravel()
@@ -68,14 +69,15 @@ def sample_band(
     poles: Array,
     longest: float,
 ) -> Band:
-    """Returns a function at enough nodes of a band for accurate integrals of functions of its values.
+    """Samples a function at enough frequencies of a band for accurate integrals of functions of its values.
 
     Args:
-        function: function of frequencies [rad/s], (F,) to (F, ...).
-        checked: function of frequencies, shape (F,), and the values there, that returns the nonnegative integrands, shape (F, c).
+        function: function of frequencies [rad/s], from shape (F,) to (F, ...).
+        checked: function of frequencies, shape (F,), and of the values of `function` at these frequencies. The function returns
+            c nonnegative integrands whose integrals must be accurate, shape (F, c).
         low, high: ends of the band, above 0 [rad/s].
-        poles: poles of the function [rad/s], complex, shape (n,); panels are short near them.
-        longest: limit of a panel [rad/s].
+        poles: poles of the function [rad/s], complex, shape (n,). Panels are short near poles.
+        longest: largest length of a panel [rad/s].
     """
     left, right = _panels(low, high, poles, longest)
     omega = _nodes(left, right)
@@ -101,11 +103,11 @@ def sample_band(
 
 
 def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Array, Array]:
-    """Returns the left and right ends of the panels."""
+    """Returns the left and right ends of the panels [rad/s]."""
     ends, longest = [low], max(longest, (high - low) / MOST_PANELS)
     while ends[-1] < high:
         here = ends[-1]
-        # 0 counts as a pole, as spectra of roads have one there. Panels need not be shorter than rounding.
+        # Road spectra have a pole at 0, so 0 counts as a pole. Panels need not be shorter than rounding errors.
         step = max(SHARE * min(here, float(np.abs(1j * here - poles).min(initial=np.inf))), FINEST * here)
         end = here + min(step, longest)
         ends.append(high if end + step / 5 >= high else end)
@@ -113,12 +115,12 @@ def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Arra
 
 
 def _nodes(left: Array, right: Array) -> Array:
-    """Returns the nodes of all panels, in their order, shape (P ORDER,)."""
+    """Returns the nodes of P panels in their order [rad/s], shape (P ORDER,)."""
     return ((left + right)[:, None] / 2 + np.multiply.outer((right - left) / 2, NODES)).ravel()
 
 
 def _estimate(integrands: Array, width: Array) -> Array:
-    """Returns the largest relative error estimate of any integral, for every panel, shape (P,)."""
+    """Returns the relative error estimate of every panel, shape (P,): the largest among all integrals."""
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)

@@ -15,20 +15,20 @@ Exponential = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x' = A x + B u, y = C x + D u; with dt, x[k+1] = A x[k] + B u[k].
+    """Linear system x' = A x + B u, y = C x + D u; if dt is given, x[k+1] = A x[k] + B u[k].
 
     Attributes:
-        A: shape (n, n).
-        B: shape (n, k).
-        C: shape (p, n).
-        D: shape (p, k).
-        inputs: names of the k inputs; empty for signals without names.
-        outputs: names of the p outputs; likewise.
-        dt: time from one sample to the next [s]; None in continuous time.
-        states: names of the n states, or empty.
+        A: state matrix, shape (n, n).
+        B: input matrix, shape (n, k).
+        C: output matrix, shape (p, n).
+        D: feedthrough, shape (p, k).
+        inputs: names of the k inputs; empty if they have no names.
+        outputs: names of the p outputs; empty if they have no names.
+        dt: sample period [s]; None in continuous time.
+        states: names of the n states; may be empty.
 
     Raises:
-        InputError: a matrix does not fit the others.
+        InputError: the shapes of the matrices do not fit.
     """
 
     A: Array
@@ -49,32 +49,34 @@ class StateSpace:
 
     @classmethod
     def of_law(cls, law: LinearLaw) -> "StateSpace":
-        """Returns a law, or a filter, as a system without names."""
+        """Returns a law or a filter as a system without signal names."""
         return cls(law.A, law.B, law.C, law.D, dt=law.sample_period)
 
     def rows(self, outputs: Sequence[str]) -> list[int]:
-        """Returns the positions of some outputs."""
+        """Returns the indices of outputs, given their names."""
         return [self.outputs.index(name) for name in outputs]
 
     def columns(self, inputs: Sequence[str]) -> list[int]:
-        """Returns the positions of some inputs."""
+        """Returns the indices of inputs, given their names."""
         return [self.inputs.index(name) for name in inputs]
 
     def part(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system from some inputs to some outputs, by name."""
+        """Returns the system from the given inputs to the given outputs."""
         rows, columns = self.rows(outputs), self.columns(inputs)
         D = self.D[np.ix_(rows, columns)]
         return replace(self, B=self.B[:, columns], C=self.C[rows], D=D, inputs=tuple(inputs), outputs=tuple(outputs))
 
     def with_inputs(self, names: Sequence[str], B: Array, D: Array) -> "StateSpace":
-        """Returns the system with more inputs, by their columns of B and D, shapes (n, j) and (p, j)."""
+        """Returns the system with j more inputs, given their names and their columns of B and D, shapes (n, j) and (p, j)."""
         return replace(self, B=np.hstack([self.B, B]), D=np.hstack([self.D, D]), inputs=(*self.inputs, *names))
 
     def closed(self, outputs: Sequence[str], inputs: Sequence[str]) -> "StateSpace":
-        """Returns the system whose outputs add to inputs, one to one; the inputs are then what adds to these from outside.
+        """Returns the system with outputs fed back: each of `outputs` is added to the input at the same place in `inputs`.
+
+        These inputs of the result are then added from outside.
 
         Raises:
-            InputError: an output that is fed back acts on itself at once, and that loop has no solution.
+            InputError: the feedback has an algebraic loop without a solution.
         """
         rows, columns = self.rows(outputs), self.columns(inputs)
         C, D = self.C[rows], self.D[rows]
@@ -86,21 +88,23 @@ class StateSpace:
 
     @property
     def feedthrough_radius(self) -> float:
-        """Direct gain from the inputs of a cut loop through its outputs; from 1 on the closed loop has no delay margin."""
+        """Spectral radius of the feedthrough of a cut loop. If it is 1 or more, the closed loop has no delay margin."""
         return spectral_radius(self.D)
 
     def loop_matrix(self, factor: Array | complex) -> Array:
-        """Returns A of a cut loop that is closed by u = factor y, shape (..., n, n), for factors of any shape."""
+        """Returns the state matrix of a cut loop that is closed by u = factor y, shape (..., n, n), for an array of factors."""
         factor = np.asarray(factor)[..., None, None]
         if not np.any(self.D):
             return self.A + factor * (self.B @ self.C)
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.D)) - factor * self.D, factor * self.C)
 
     def hold_matrices(self, duration: float, exponential: Exponential = linalg.expm) -> tuple[Array, Array]:
-        """Returns Phi and Gamma of a duration [s] with held inputs: they take states and inputs to the states at its end.
+        """Returns Phi and Gamma for inputs that are held over a duration [s]. The states at its end are Phi x + Gamma u.
 
         Args:
-            exponential: the matrix exponential; not used for a system in discrete time, which takes steps.
+            duration: time over which the inputs are held [s].
+            exponential: function that computes the matrix exponential. This function is not used in discrete time, where steps
+                are repeated.
         """
         n, k = self.B.shape
         if self.dt is None:
@@ -111,21 +115,21 @@ class StateSpace:
         return whole[:n, :n], whole[:n, n:]
 
     def response(self, at: Array) -> Array:
-        """Returns C (s - A)^-1 B + D at s, or at z of a system in discrete time, shape (F,); complex, shape (F, p, k)."""
+        """Returns C (s - A)^-1 B + D, complex, shape (F, p, k), at F points s; in discrete time at points z instead of s."""
         k = self.D.shape[1]
         return self.driven(at, np.broadcast_to(np.eye(k), (len(at), k, k)))
 
     def driven(self, at: Array, amplitudes: Array) -> Array:
-        """Returns the outputs under inputs that are multiples of exp(s t), or of z^k, complex, shape (F, p, c).
+        """Returns the outputs for inputs proportional to exp(s t), or to z^k in discrete time, complex, shape (F, p, c).
 
         Args:
-            at: s, or z of a system in discrete time, shape (F,).
-            amplitudes: amplitudes of all inputs, shape (F, k, c).
+            at: points s (in discrete time z), shape (F,).
+            amplitudes: complex amplitudes of all inputs, shape (F, k, c).
         """
         states = np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, self.B @ amplitudes)
         return self.C @ states + self.D @ amplitudes
 
 
 def spectral_radius(matrix: Array) -> float:
-    """Returns the largest magnitude of the eigenvalues of a square matrix; 0 for one without rows."""
+    """Returns the largest magnitude of the eigenvalues of a square matrix; 0 for an empty matrix."""
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Coordinates and units in which the numbers of a plant, or of several, have size one."""
+"""Coordinates and units in which the matrix entries of one or more plants are near 1."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -10,46 +10,47 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.plant.generalized import Plant
 
-NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
-CANCELLED_SUM = 1e-9  # relative to its terms; a smaller sum may be zero
-TOGETHER = 1e-4  # weight of the equations that give all of w one unit, and all of z one
-OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
-FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
-ALIKE = 1e-6  # relative; units with this similar a freedom are equally undetermined
-UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
-DEPENDENT = 1e-10  # smallest singular value of rows of length one
+NILPOTENT = 1e-14  # size relative to |A|^n below which A^n counts as 0; then all poles are 0, as those of integrators
+CANCELLED_SUM = 1e-9  # size relative to its terms below which a sum may be zero
+TOGETHER = 1e-4  # weight of the equations that give all disturbances w one unit, and all outputs z one unit
+# Relative to the largest eigenvalue of the normal equations: smaller ones belong to undetermined units. All others exceed 1e-8.
+OPEN = 1e-11
+FINEST = 2.0**-20  # resolution of an exponent of two; coarser than rounding, so that equal units stay equal in powers of two
+ALIKE = 1e-6  # relative difference below which two units count as equally undetermined
+UPWARDS = 0.53  # offset for rounding exponents; not 0.5, so that a unit half-way between two powers of two is not ambiguous
+DEPENDENT = 1e-10  # smallest singular value of rows of length 1 for which the rows count as independent
 
 
 def reachable(plant: Plant, free: int) -> Array:
-    """Returns coordinates of (12)'s block structure in which the inputs and the disturbance reach all states equally.
+    """Returns coordinates in which the inputs and the disturbance affect all states equally, with the block structure of (12).
 
-    They are the square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not
-    depend on the coordinates, so that the result does not either.
+    The coordinates are the square root of a controllability Gramian, block by block. A is shifted until all its modes decay.
+    The shift does not depend on the coordinates, so the result does not depend on them either.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
     balanced = plant.in_coordinates(np.diag(diagonal))
-    A = balanced.A / size(balanced.A)  # so that no root of a unit of time is taken
+    A = balanced.A / size(balanced.A)  # dimensionless, so that the unit of time has no influence
     poles = np.linalg.eigvals(A)
     shift = 1.0 if are_integrators(A) else poles.real.max() + np.abs(poles).max()
     inputs = np.hstack([balanced.B / size(balanced.B), balanced.Bw / size(balanced.Bw)])
     gramian = linalg.solve_continuous_lyapunov(A - shift * np.eye(n), -inputs @ inputs.T)
-    gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # a state that nothing much reaches keeps a scale
+    gramian += 1e-5 * np.trace(gramian) * np.eye(n)  # keeps a finite scale for states that are hardly affected
     blocks = [np.linalg.cholesky(block) for block in (gramian[:free, :free], gramian[free:, free:])]
     return diagonal[:, None] * np.asarray(linalg.block_diag(*blocks))
 
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y have size one, independent of the given units.
+    """Units in which the entries of a plant and of C_y are near 1, independent of the given units.
 
-    They are powers of two, so that nothing is rounded on the way there and back.
+    The units are powers of two, so that conversion in either direction causes no rounding.
 
     Attributes:
-        states: own units of the states in given ones, shape (n,).
-        inputs: own units of the inputs in given ones, shape (m,).
-        exact: units before rounding to powers of two, shapes (n,) and (m,): independent of the given units.
-        rate: rate of the plant [rad/s]; time keeps its unit.
+        states: own unit of each state, expressed in the given unit, shape (n,).
+        inputs: own unit of each input, expressed in the given unit, shape (m,).
+        exact: units before rounding to powers of two, shapes (n,) and (m,); independent of the given units.
+        rate: rate of the plant [rad/s]. The unit of time does not change.
     """
 
     states: Array
@@ -58,38 +59,41 @@ class OwnUnits:
     rate: float
 
     def into(self, plant: Plant) -> Plant:
-        """Returns a plant of the given units in the own units."""
+        """Converts a plant from the given units to the own units."""
         return _in_units(plant, self.states, self.inputs)
 
     def back(self, plant: Plant) -> Plant:
-        """Returns a plant of the own units in the given units."""
+        """Converts a plant from the own units to the given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """Returns C_y of independent rows, in the own units of the states, as S V with orthonormal rows V.
+        """Returns C_y in the own units of the states as a product S V, where V has orthonormal rows.
 
-        A design depends only on the span of the rows. Nearly dependent rows lose digits in every product: so a design uses V, and
-        S is inverted once, at the end.
+        A design depends only on the span of the rows. Nearly dependent rows would lose digits in every product. A design
+        therefore uses V, and inverts S only once, at the end.
 
         Args:
-            Cy: shape (q, n).
+            Cy: matrix with independent rows, shape (q, n).
 
         Returns:
-            V, shape (q, n), and S, shape (q, q), lower triangular: y = S V x.
+            V, shape (q, n), and the lower triangular S, shape (q, q), with y = S V x.
         """
         return orthonormal_rows(Cy * self.states)
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Returns V and S of independent rows S V: V has orthonormal rows that do not depend on units, S is lower triangular."""
-    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit is in what is rounded
+    """Returns V and S with rows = S V. V has orthonormal rows that do not depend on the units, and S is lower triangular."""
+    lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # powers of two, so that rounding does not depend on the units
     basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
-    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike
+    signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # makes the diagonal positive, so that the result is unique
     return (basis * signs).T, lengths[:, None] * (signs[:, None] * triangle).T
 
 
 def independent(rows: Array) -> list[int]:
-    """Returns the indices of rows that do not follow from earlier ones, ascending, independent of units; no row may be zero."""
+    """Returns the indices of rows that do not depend linearly on earlier rows, in ascending order.
+
+    No row may be zero. The units of the rows have no influence.
+    """
     rows, _ = unit_rows(rows)
     kept: list[int] = []
     for i in range(len(rows)):
@@ -99,42 +103,42 @@ def independent(rows: Array) -> list[int]:
 
 
 def unit_rows(Cy: Array) -> tuple[Array, Array]:
-    """Returns rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    """Returns the rows scaled to length 1, and their lengths, shape (q,). The unit of one row then cannot hide another row."""
     lengths = np.linalg.norm(Cy, axis=1)
     return Cy / lengths[:, None], lengths
 
 
-@functools.lru_cache(maxsize=4)  # a design needs them often, and plants do not change
+@functools.lru_cache(maxsize=4)  # a design needs the units often, and plants do not change
 def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
     """Returns the plant's own units of states and inputs, and its rate.
 
-    They result from least squares over the logarithms of all nonzero entries, in which the units of disturbances, outputs and
-    measurements are free, too. (`balance` ignores a state that does not both drive others and is driven by them.) A norm has one
-    unit of all of w and one of all of z. These decide if nothing else determines the plant's speed: integrators have the rate at
-    which the motion and the driving force have the same weight in z.
+    The units result from a least-squares fit to the logarithms of all nonzero entries. The units of disturbances, outputs and
+    measurements are free in this fit, too. `balance` would ignore states that do not both drive other states and depend on
+    them. A norm has one unit for all of w, and one unit for all of z. These two units decide only if nothing else determines
+    the speed of the plant. For example, integrators have the rate at which motion and driving force have the same weight in z.
 
-    The pattern of zeros may leave units undetermined. Some of these are kept as given, those of the disturbance before others. So
-    the same plant in other units, each a power of two, is the same in its own bit for bit.
+    The pattern of zeros may leave some units undetermined. Such a unit is kept as given; units of the disturbance are
+    preferred. As a result, the same plant in other units, each a power of two, is identical in its own units bit for bit.
 
     Args:
-        plant: n states; a discrete one has those of its differences.
-        measured: True if C_y counts, too.
+        plant: plant with n states. For a discrete plant, the units are those of its differences.
+        measured: True to include C_y.
     """
     Cy, plant = plant.Cy if measured else plant.Cy[:0], plant.differences
     n, (m, r, d, q) = len(plant.A), (plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(Cy))
-    # From x, u, w to the change of x, z, y.
+    # Rows: change of x, then z, then y. Columns: x, u, w.
     whole = np.block([[plant.A, plant.B, plant.Bw], [plant.C, plant.D, plant.Dw], [Cy, np.zeros((q, m + r))]])
     i, j = np.nonzero(whole)
     columns, unknowns = n + m + r, n + m + r + d + q + 1
     changes = i < n
-    # An entry is multiplied by the unit of its column; a row of x is divided by its own and by the rate. So every equation has
-    # three coefficients, which the normal equations take in pairs.
+    # An entry is multiplied by the unit of its column. An entry in a row of x is divided by the unit of this state and by the
+    # rate. Every equation thus has three coefficients. The normal equations contain their products in pairs.
     where = np.stack([j, np.where(changes, i, columns + i - n), np.full(len(i), unknowns - 1)], axis=1)
-    own = np.where(i == j, 0.0, 1.0)  # of a state's effect on itself no unit is left but the rate's
+    own = np.where(i == j, 0.0, 1.0)  # the effect of a state on itself depends only on the rate
     what = np.stack([np.where(changes, own, 1.0), np.where(changes, -own, 1.0), np.where(changes, -1.0, 0.0)], axis=1)
     pairs, products = where[:, :, None] * unknowns + where[:, None], what[:, :, None] * what[:, None]
     normal = np.bincount(pairs.ravel(), products.ravel(), unknowns**2).reshape(unknowns, unknowns)
-    normal = normal.astype(float)  # of a plant of zeros alone nothing is counted, in integers
+    normal = normal.astype(float)  # for a plant of zeros, bincount has nothing to count and returns integers
     right = -np.bincount(where.ravel(), (what * np.log2(np.abs(whole[i, j]))[:, None]).ravel(), unknowns)
     for first, count in ((n + m, r), (columns, d)):
         alike = slice(first, first + count)
@@ -147,20 +151,21 @@ def own_units(plant: Plant, measured: bool = False) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """Returns powers of two with rounded exponents."""
+    """Returns powers of two with the exponents rounded to integers."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 
 def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
-    """Returns the least-squares solution, with 0 for undetermined unknowns, the first of equally undetermined ones.
+    """Returns the least-squares solution, in which some of the undetermined unknowns are 0.
 
-    In a connected plant all units but the rate are equally undetermined. Rounding must not choose between them: it differs from
-    one machine to the next, and an extreme unit may then decide all others.
+    Among equally undetermined unknowns, the first one is set to 0. In a connected plant, all units except the rate are equally
+    undetermined. Rounding must not choose among them. Rounding differs between machines, and an extreme unit might then
+    determine all other units.
 
     Args:
-        normal: the normal equations, shape (N, N).
-        right: right-hand side of the equations, shape (N,).
-        first: all unknowns, in the order in which they are kept, shape (N,).
+        normal: matrix of the normal equations, shape (N, N).
+        right: right-hand side of the normal equations, shape (N,).
+        first: indices of all unknowns, in the order in which they are preferred as 0, shape (N,).
     """
     sizes, directions = np.linalg.eigh(normal)
     fixed = sizes > OPEN * sizes[-1]
@@ -175,9 +180,10 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
 
 def speed(plant: Plant) -> tuple[float, bool]:
-    """Returns a plant's own speed [rad/s]: its fastest pole, and True; its own rate and False if all poles lie at 0.
+    """Returns the plant's own speed [rad/s], and whether this is the speed of its fastest pole.
 
-    Poles of weights do not count. The speed of a mode of a discrete plant is its change in a sample over dt.
+    If all poles are at 0, the speed is the plant's own rate, and the second value is False. Poles of weighting filters do not
+    count. For a discrete plant, the speed of a mode is its change per sample divided by dt.
     """
     plant = plant.differences
     n = len(plant.A) - plant.weights
@@ -188,7 +194,7 @@ def speed(plant: Plant) -> tuple[float, bool]:
 
 def _speed(plant: Plant) -> tuple[float, bool]:
     A = plant.A
-    # The sum of all squared poles, beside what it is a sum of: no unit changes either.
+    # The sum of all squared poles is compared with the sum of the absolute terms. Units change neither of them.
     if abs(np.sum(A * A.T)) <= CANCELLED_SUM * np.sum(np.abs(A * A.T)):
         own = own_units(plant)
         if are_integrators(own.into(plant).A):
@@ -197,7 +203,7 @@ def _speed(plant: Plant) -> tuple[float, bool]:
 
 
 def are_integrators(A: Array) -> bool:
-    """Returns True if all poles lie at 0, to rounding; the entries of A must be of similar size."""
+    """Returns True if all poles are at 0 up to rounding. The entries of A must have similar size."""
     n = len(A)
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 
@@ -210,7 +216,7 @@ def _in_units(plant: Plant, states: Array, inputs: Array) -> Plant:
 
 
 def nearest_power(size: float) -> float:
-    """Returns the power of two next to a size."""
+    """Returns the power of two that is nearest to a size."""
     return float(np.exp2(np.round(np.log2(size))))
 
 

@@ -1,1 +1,1 @@
-"""The controllers of a vehicle file: which method designs which; trade-offs, sample rates, the paper, python-control."""
+"""Controllers of a vehicle file: design methods, trade-offs, sample rates, the paper's controllers, and python-control."""

@@ -1,4 +1,4 @@
-"""The vehicle for which a saved certificate was proved, and what has changed in the vehicle file since."""
+"""Comparison of a vehicle file with the vehicle for which a saved certificate was proved."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -16,7 +16,7 @@ CHANGED_VEHICLE = "the vehicle is no longer the one that was certified: "
 
 
 def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
-    """Returns the numbers on which a certificate depends [SI units], by section of the vehicle file."""
+    """Returns the numbers on which a certificate depends [SI units], by section of the vehicle file and by name."""
     how, lag = vehicle.implementation, vehicle.limits.actuator_bandwidth
     computer = {"sample_period": how.sample_period or 0.0, "delay": how.delay}
     return {
@@ -28,15 +28,16 @@ def vehicle_record(vehicle: Vehicle) -> dict[str, dict[str, float]]:
 
 
 def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
-    """Returns a sentence on what differs from the vehicle that was certified; empty if this is not known.
+    """Returns a text about how a vehicle differs from the certified vehicle; empty if this is not known.
 
     Args:
-        entry: section of the vehicle file, whose certificate does not hold.
+        vehicle: vehicle from the vehicle file.
+        entry: section of the vehicle file whose certificate does not hold.
     """
     unladen, then = vehicle.unladen, (entry.certificate or {}).get(VEHICLE)
     heavier = [vehicle.parameters[name] - unladen.parameters[name] for name in unladen.parameters if name == "sprung_mass"]
     payload = [f"payload {mass:g} kg" for mass in heavier if mass]
-    if not isinstance(then, Mapping):  # saved by an earlier version
+    if not isinstance(then, Mapping):  # the certificate was saved by an earlier version
         with suppress(InputError):
             if payload and not verify_record(problem(unladen, entry.measured, entry.hardware), entry)[1]:
                 return f"{CHANGED_VEHICLE}{payload[0]}"
@@ -46,7 +47,7 @@ def changed_since(vehicle: Vehicle, entry: ControllerEntry) -> str:
 
 
 def _differences(vehicle: Vehicle, then: Mapping[str, Any]) -> list[str]:
-    """Returns the numbers that differ from those of the certified vehicle, in words."""
+    """Returns texts of the numbers that differ from those of the certified vehicle."""
     texts, units = list[str](), {one.name: f" {one.unit}" for one in vehicle.kind.parameters}
     for section, now in vehicle_record(vehicle).items():
         before = then.get(section, {})

@@ -1,4 +1,4 @@
-"""The design problem of a controller's section, and the controller of its result."""
+"""Conversion of a controller's section to a design problem, and of the result of a design to a controller."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,15 +31,17 @@ STATE_ALONE = (
 
 
 def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound") -> DesignProblem:
-    """Returns the design problem of a section, without goals.
+    """Returns the design problem of a controller's section without goals.
 
     Args:
+        vehicle: vehicle with the section.
+        entry: controller's section.
         plant_problem: plant and measurements for which the controller is certified.
-        lower_bound: lower bound for any controller from these measurements.
+        lower_bound: lower bound on the norm for any controller with these measurements.
 
     Raises:
-        InputError: a preview without every state; or the vehicle has no sample period, but the design is for a sampled loop.
-        DesignError: LQG with noise, but without a sample period.
+        InputError: a preview design does not measure every state, or a design for the sampled-data loop has no sample period.
+        DesignError: an LQG design has noise, but no sample period.
     """
     request = entry.request
     by_force = request.structure is not None and request.structure.rows is not None
@@ -61,7 +63,7 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
         lower_bound=lower_bound,
         states=plant_states(vehicle, entry.hardware.bandwidth),
     )
-    if not (request.two_steps or by_force or request.sampled):  # a sampled loop has the readings as they are
+    if not (request.two_steps or by_force or request.sampled):  # a sampled-data design uses the measurements unchanged
         problem = replace(problem, as_run=partial(on_readings, problem=plant_problem))
     if request.sampled:
         states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
@@ -91,19 +93,19 @@ def design_problem(vehicle: Vehicle, entry: ControllerEntry, plant_problem: Prob
 
 
 def certify_ideal_loop(problem: Problem, lower_bound: "LowerBound") -> Callable[[LinearLaw], Certificate]:
-    """Returns a function that certifies the ideal loop of a law on the readings."""
+    """Returns a function that certifies the ideal loop of a law on the measurements."""
     from synth.analysis.bounding import certify_tightly
 
     return lambda law: certify_tightly(*problem.closed_loop(law), lower_bound, plant_without_law=problem.plant)
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> list[float] | None:
-    """Returns the noise of each measurement that depends on the state, for LQG; None without noise.
+    """Returns the white-noise intensity of each measurement that depends on the state, for LQG; None without noise.
 
-    Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+    Noise of rms sigma that is sampled every T seconds corresponds to white noise of intensity sigma sqrt(T).
 
     Raises:
-        DesignError: noise is given, and no T.
+        DesignError: noise is given without a sample period T.
     """
     if entry.request.design != "lqg":
         return None
@@ -121,7 +123,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, problem: Problem) -> l
 def controller_of(
     vehicle: Vehicle, entry: ControllerEntry, plant_problem: Problem, problem: DesignProblem, result: DesignResult
 ) -> Controller:
-    """Returns the controller of a result, with its law on the readings of sensors."""
+    """Returns the controller from the result of a design, with its law on the measurements of the sensors."""
     law, remarks = problem.as_run(result.law), result.remarks
     redundant = tuple(entry.measured[i] for i in result.redundant if i < len(entry.measured))
     if entry.request.sampled:
@@ -152,7 +154,7 @@ def controller_of(
 
 
 def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
-    """Returns a sentence on the H2 norm that a design for the least mean square minimises."""
+    """Returns a note about the H2 norm that the design minimises."""
 
     at_once = FEATURES.load("H2 designs").AT_ONCE if np.any(problem.plant.Dw) else ""
     of_white_noise = "the rms of z if road velocity is white noise of intensity 1"
@@ -161,7 +163,7 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
             f"minimises the mean square of z with the road {problem.preview:g} s ahead: the H2 norm is {digits(result.h2_norm)} "
             f"({digits(result.without)} without preview), {of_white_noise}{at_once}"
         )
-    if problem.design == "lqg":  # its white noise is not a part of w
+    if problem.design == "lqg":  # the white noise of LQG is not part of w
         noise = ", with noise of the sensors" if problem.noise is not None and np.any(problem.noise) else ""
     else:
         noise = ", with noise of w on the sensors" if np.any(problem.plant.Dyw) else ""
@@ -169,9 +171,10 @@ def _of_mean_square(problem: DesignProblem, result: DesignResult) -> str:
 
 
 def _on_roads(vehicle: Vehicle, ahead: "RoadPreview") -> "RoadPreview":
-    """Returns a preview of the plant's disturbances as one of roads.
+    """Converts a preview of the plant's disturbances to a preview of the roads.
 
-    The height of a road's twist is a disturbance in addition to the road's velocity (`generalized_plant`). It is known, too.
+    The road's warp is a disturbance in addition to the road velocities (`generalized_plant`). The warp is also known in
+    advance.
     """
 
     model = vehicle.linear_model

@@ -1,4 +1,7 @@
-"""The designs of a vehicle file: from a controller's name to a certified gain, and what those of one vehicle share."""
+"""Design of the controllers of a vehicle file: from a controller's name to a certified law.
+
+Several designs of one vehicle share intermediate results. Start reading at `Designer`.
+"""
 
 import contextlib
 import unicodedata
@@ -38,11 +41,11 @@ NOT_REFINED = "but --refine changes static gains, which have no integral; omit -
 
 
 class SharedDesignData:
-    """The plant, central path and bounds that designs for one vehicle and its actuators share, computed when first used.
+    """Plant, central path and bounds that all designs for a vehicle and its actuators share. Each is computed at its first use.
 
     Attributes:
-        plant: the plant, without noise.
-        states: names of its states.
+        plant: plant without measurement noise.
+        states: names of the states of the plant.
     """
 
     def __init__(self, vehicle: Vehicle, hardware: DesignConditions = NOMINAL) -> None:
@@ -52,26 +55,27 @@ class SharedDesignData:
 
     @cached_property
     def state_path(self) -> list[CentralPoint]:
-        """The central path of (22). Noise on what is measured is nothing to one who knows the state."""
+        """Central path of (22). Measurement noise has no effect here, because the state is known."""
         return state_path(self.plant, self.states)
 
     @cached_property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound from the invariant point, which holds for any measurements without noise."""
+        """Lower bound on the norm from the invariant point, which holds for any measurements without noise."""
         return FEATURES.load("lower bounds").bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
-        """Returns the design problem of a controller that measures these signals with that noise.
+        """Returns the control problem of a controller with these measured signals and this measurement noise.
 
         Raises:
-            InputError: a signal this vehicle has not.
+            InputError: the vehicle does not have a measured signal.
         """
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback.
+        """Returns the lower bound on the norm for controllers of any order with these measurements and this noise.
 
-        For heights over the datum, it is the bound of any measurements.
+        Without measurements, the bound is that of state feedback. With heights above a datum, it is the bound for any
+        measurements.
         """
         key = tuple(measured), noise
         if self.vehicle.linear_model.over_datum(measured):
@@ -81,7 +85,7 @@ class SharedDesignData:
             everything = key[0] == self.states and not np.any(plant.Dyw)
             try:
                 path = self.state_path
-            except DesignError:  # what cannot be designed may be checked
+            except DesignError:  # a plant without a design may still be checked
                 path = []
             self._bounds[key] = FEATURES.load("lower bounds").find_lower_bound(
                 plant.unmeasured if everything else plant, None, path, self.beyond_control
@@ -90,9 +94,15 @@ class SharedDesignData:
 
 
 class Designer:
-    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed.
+    """Designs the controllers of one vehicle. The state-feedback step (22) is shared by all designs and done at its first use.
 
-    With `search` given gains are compared with each vehicle's own best, too, which takes designs (`verify_specifications`).
+    Args:
+        vehicle: vehicle whose file defines the controllers.
+        search: True to compare given gains also with the best controller of each vehicle, which requires further designs
+            (`verify_specifications`).
+
+    Raises:
+        InputError: an argument has the wrong type.
     """
 
     @check_arguments
@@ -100,14 +110,14 @@ class Designer:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
         self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
-        self._pushing: Designer | None = None  # of the vehicle with actuators that push, where it has adjustable dampers
+        self._pushing: Designer | None = None  # designer of the vehicle with force actuators instead of semi-active dampers
 
     def __repr__(self) -> str:
-        """Returns the kind and the file of its vehicle."""
+        """Returns a text with the type and the file of the vehicle."""
         return f"Designer of {self.vehicle.summary.title}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
-        """Returns the data that designs for these actuators and loads share."""
+        """Returns the data that all designs for these actuators and loads share."""
         key = replace(hardware, noise=())
         if key not in self._shared:
             self._shared[key] = SharedDesignData(self.vehicle, key)
@@ -115,39 +125,39 @@ class Designer:
 
     @property
     def plant(self) -> Plant:
-        """The plant of forces that act at once, without noise."""
+        """Plant with forces without lag, and without measurement noise."""
         return self.shared().plant
 
     @property
     def state_path(self) -> list[CentralPoint]:
-        """The central path of (22)."""
+        """Central path of (22)."""
         return self.shared().state_path
 
     @property
     def state_feedback(self) -> CentralPoint:
-        """The optimum of (22)."""
+        """Optimum of (22)."""
         return self.state_path[-1]
 
     @property
     def beyond_control(self) -> "LowerBound":
-        """Lower bound from the invariant point, which holds for any measurements."""
+        """Lower bound on the norm from the invariant point, which holds for any measurements."""
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
-        """Returns the problem that a controller with these measured signals is designed for and judged with."""
+        """Returns the control problem for which a controller with these measurements is designed and evaluated."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> "LowerBound":
-        """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
+        """Returns the lower bound for controllers of any order with these measurements; without any, for state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def _later_bound(self, entry: ControllerEntry) -> Any:
         return LaterBound(lambda: self.lower_bound(entry.measured, entry.hardware))
 
     def sampled_bound(self, controller: Controller) -> "SampledBound | None":
-        """Returns the lower bound of the sampled loop, for any controller with the measurements of one designed for it.
+        """Returns the lower bound of the sampled-data loop, for any controller with the measurements of the given one.
 
-        None for other controllers, or if none is proved.
+        The result is None if the controller was not designed for the sampled-data loop, or if no bound is proved.
         """
         return self._sampled_bound(self._entry(controller.name)) if controller.sampled else None
 
@@ -162,16 +172,20 @@ class Designer:
 
     @check_arguments
     def design(self, name: str, zero_l: bool = False, on_progress: Progress = quiet) -> Controller:
-        """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
+        """Returns a controller with its certificate. The controller is designed unless the vehicle file gives its law.
 
         Args:
-            zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
+            name: name of a controller of the vehicle file, or `passive` or `state`.
+            zero_l: True to use L = 0 instead of (14), as in remark 4 of the paper, for an output-feedback design in two steps.
             on_progress: callback that receives the progress of a design for goals.
 
+        Returns:
+            The controller with law, certificate and notes, as a `Controller`.
+
         Raises:
-            InputError: no controller has that name.
-            DesignError: the controller could not be designed, or its certificate fails. A gain from the file is reported
-                unchanged. If the two steps fail, descent on the norm continues; see `Controller.fallback_method`.
+            InputError: no controller has this name.
+            DesignError: the controller could not be designed, or its certificate fails. A given gain is reported unchanged. If
+                the two steps fail, a descent on the norm continues the design; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.with_actuators_of(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -184,7 +198,7 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def judged(self, controller: Controller) -> Controller:
-        """Returns a controller with what is proved of it for the errors that its section weights by frequency, if any."""
+        """Returns a controller with the results proved for its frequency-weighted uncertainties, if its section has them."""
         errors = self._entry(controller.name).errors
         if errors is None:
             return controller
@@ -213,12 +227,13 @@ class Designer:
     def design_problem(
         self, entry: ControllerEntry, plant_problem: Problem, lower_bound: "LowerBound", method: str = ""
     ) -> DesignProblem:
-        """Returns the design problem of a section without goals.
+        """Returns the design problem of a controller's section without goals.
 
         Args:
-            plant_problem: plant and measurements that the controller is judged with.
-            lower_bound: lower bound for any controller from these measurements.
-            method: the only method to use; by default those that the problem leads to.
+            entry: controller's section.
+            plant_problem: plant and measurements with which the controller is evaluated.
+            lower_bound: lower bound on the norm for any controller with these measurements.
+            method: name of the only method to use. Default: the methods that fit the problem.
         """
         problem, shared = design_problem(self.vehicle, entry, plant_problem, lower_bound), self.shared(entry.hardware)
         if entry.request.two_steps:
@@ -240,10 +255,19 @@ class Designer:
 
     @check_arguments
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-        """Certifies a known law from measurements to forces under any name, unchanged.
+        """Certifies a known law from measurements to forces. The law is not changed.
+
+        Args:
+            name: any name for the controller.
+            measured: names of the q measured signals.
+            law: linear law from the q measurements to the m forces.
+            hardware: sensor noise, actuator lag and loads that the certificate includes.
+
+        Returns:
+            The law with its certificate, as a `Controller`.
 
         Raises:
-            InputError: the gain has another number of signals or forces, or there is no loop.
+            InputError: the law has another number of measurements or forces, or its algebraic loop has no solution.
         """
         expected = len(self.vehicle.linear_model.inputs), len(measured)
         if law.D.shape != expected:
@@ -265,7 +289,7 @@ class Designer:
         if entry.certificate:
             wrong += FEATURES.load("norm as implemented").false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
-        if wrong and not certificate.stable:  # sampling may cure it
+        if wrong and not certificate.stable:  # sampling may make the loop stable
             cured = instability_cured_by_sampling(self.vehicle, certificate, norm_if_implemented(self.vehicle, controller))
             wrong = tuple(each for each in wrong if each not in cured)
         if wrong:
@@ -278,13 +302,18 @@ class Designer:
 
     @check_arguments
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
-        """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
+        """Returns a controller with a lower norm, as long as the lower norm justifies a larger gain.
 
-        Where the two steps find no gain, it is the best that any start leads to.
+        The method is `synth.design.descent.refine`. If the two steps find no gain, the result is the best gain from several
+        starting points.
+
+        Args:
+            name: name of a controller with a static gain.
+            zero_l: True to use L = 0 instead of (14) in the two steps.
 
         Raises:
-            InputError: no controller has that name, or it has no gain to change, as `passive`.
-            DesignError: the gain does not stabilise the vehicle, or no start leads to a gain.
+            InputError: no controller has this name, or it has no gain to change, such as `passive`.
+            DesignError: the gain does not stabilise the vehicle, or no starting point leads to a gain.
         """
 
         entry = self._entry(name)
@@ -304,10 +333,10 @@ class Designer:
         return FEATURES.load("refinement").refine_controller(self.vehicle, entry, problem, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
-        """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""
+        """Returns a relative decrease of the norm of a designed controller that `refine` reaches; 0 if it is negligible."""
         if (
             not controller.designed
-            or controller.sampled  # whose design is refined
+            or controller.sampled  # the design for the sampled-data loop is refined already
             or not controller.measured
             or not goes("refine", self._entry(controller.name).parts)
             or self.vehicle.integrals
@@ -318,7 +347,7 @@ class Designer:
         return FEATURES.load("refinement").worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """Recomputes the certificate of a law of the file from its proofs. Returns it with the claims that fail, in words.
+        """Recomputes the certificate of a given law from its proofs. Returns the certificate and texts of the claims that fail.
 
         Raises:
             InputError: the certificate is malformed.
@@ -329,7 +358,7 @@ class Designer:
             raise self.vehicle.located(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
-        """Returns the entry to be designed or certified under a name."""
+        """Returns the entry of the vehicle file, or of `passive` or `state`, under a name."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
@@ -341,30 +370,33 @@ class Designer:
 def certify_given(
     vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL
 ) -> Controller:
-    """Certifies a known law; `Designer.certify` shares work between several."""
+    """Certifies a known law. To certify several laws of a vehicle, use `Designer.certify`, which shares work."""
     return Designer(vehicle).certify(name, measured, law, hardware)
 
 
 def driver_of(vehicle: Vehicle, name: str) -> AnyController:
-    """Returns a controller of any kind, whose law the vehicle file gives."""
+    """Returns a controller of any type whose law is given in the vehicle file."""
     return vehicle.driver(name, Designer(vehicle, search=False).design)
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:
-    """Designs one controller of a vehicle; `Designer` shares work between several."""
+    """Designs one controller of a vehicle. To design several, use `Designer`, which shares work."""
     return Designer(vehicle).design(name)
 
 
 def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], AT_LEAST_ONE]) -> list[Controller]:
-    """Returns controllers of a vehicle by name, each with its certificate. They share the state-feedback step (22).
+    """Designs or certifies controllers of a vehicle, given their names. All designs share the state-feedback step (22).
 
     Args:
         vehicle: vehicle whose file defines the controllers.
-        names: names of controllers of the file, `passive` or `state`; a single name gives a list of one.
+        names: names of controllers of the file, `passive` or `state`; a single name counts as a list of one.
+
+    Returns:
+        The controllers in the order of the names, each a `Controller` with law and certificate.
 
     Raises:
-        InputError: a name is unknown, or none is given.
-        DesignError: no such controller exists, or none could be proved; the message gives the reason.
+        InputError: a name is unknown, or the list is empty.
+        DesignError: a controller could not be designed or proved; the message gives the reason.
 
     Example:
         >>> from models import read_vehicle

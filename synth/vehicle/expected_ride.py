@@ -1,15 +1,16 @@
-"""Expected ride of a loop on a random road: the rms acceleration of the body, weighted as in ISO 2631-1.
+"""Expected ride of a loop on a random road: the weighted rms acceleration of the body as in ISO 2631-1.
 
-A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may lower it and make the ride worse.
-So the ride is computed, too, from the road's spectrum through the ideal loop: the road's vertical velocity is white within its
-band, rear wheels meet it later, and the coherency gives the right track's share of it. With the response H of an acceleration
-to the road under every wheel, e of the road to two independent white sources, and the weighting W_k,
+A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may reduce the norm and still make
+the ride worse. The ride is therefore computed, too, from the road spectrum and the ideal loop. The vertical road velocity is
+white noise within its band, the rear wheels follow with a delay, and the coherency relates the left and right tracks. Let H be
+the response of an acceleration to the road under every wheel. Let e be the response of the road to two independent white
+sources, and W_k the frequency weighting. Then
 
     mean square = G_v integral of |W_k H e|^2 df.
 
-The loop is continuous, without limits, and gives every force; `sim.drive` computes the ride of the sampled-data loop. Straight
-lines replace curves of dampers and springs: not those at equilibrium, which are of much smaller motions, but those of
-statistical linearisation on this road (`synth/controller/equivalent_line.py`).
+The loop is continuous, without limits, and its actuators deliver every force. `sim.drive` computes the ride of the sampled-data
+loop. Straight lines replace nonlinear characteristics of dampers and springs. These lines are not the tangents at equilibrium,
+which apply to far smaller motions, but those of statistical linearisation on this road (`synth/controller/equivalent_line.py`).
 """
 
 from collections.abc import Sequence
@@ -29,19 +30,22 @@ from synth.controller.loop_of import loop_of, road_inputs
 from synth.plant.loop import frequency_response
 from synth.plant.quadrature import sample_band
 
-ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
-METHOD = "statistical linearisation"  # of a vehicle with curves
+ROAD_CLASS, SPEED = "C", 20.0  # class of an average road, and speed [m/s]
+METHOD = "statistical linearisation"  # method for a vehicle with nonlinear characteristics
 WEIGHTING_FILTER = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
 @one_thread()
 def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str] | None = None) -> float | None:
-    """Returns the expected weighted rms acceleration at the worst of some points on an average road [m/s2], or None.
+    """Returns the expected weighted rms acceleration on an average road, at the worst of several points [m/s2].
 
-    It is None if the ideal loop is not stable, no vertical acceleration of the body is a signal, or no equivalent line exists.
+    The result is None if the ideal loop is not stable, or if no vertical acceleration of the body is a signal. The result is
+    also None if no equivalent linear vehicle exists.
 
     Args:
-        points: accelerations, by signal. Default: those with a person, or without a person all of the body.
+        vehicle: vehicle of the controller.
+        controller: linear controller.
+        points: names of acceleration signals. Default: the points with a person; without persons, all points of the body.
     """
     felt = points or vehicle.ride_points.worst_of
     if not felt or not controller.certificate.stable:
@@ -58,19 +62,19 @@ def expected_ride(vehicle: Vehicle, controller: Controller, points: Sequence[str
 
 
 def no_line(vehicle: Vehicle, controller: Controller) -> str:
-    """Returns the reason for which a stable loop has no expected ride; empty if the reason is another one."""
+    """Returns a text that explains why a stable loop has no equivalent linear vehicle; empty if this is not the case."""
     curved = vehicle.parts.nonlinear and controller.certificate.stable and vehicle.ride_points.worst_of
     from synth.controller.equivalent_line import without_curve
 
     if curved and (others := without_curve(vehicle)):
-        return f"statistical linearisation is for forces over one signal without a state, unlike {names_text(others)} of [parts]"
+        return f"statistical linearisation requires forces that depend on one signal only, unlike {names_text(others)} of [parts]"
     return "statistical linearisation finds no straight lines that are consistent with a stable loop" if curved else ""
 
 
 def _deviations(
     vehicle: Vehicle, controller: Controller, signals: Sequence[str], weighting: Filter | None = None
 ) -> Array | None:
-    """Returns the rms values of output signals of a linear vehicle over an average road, shape (k,); None if it is unstable."""
+    """Returns the rms of output signals of a linear vehicle over an average road, shape (k,); None if the loop is unstable."""
     loop, model = loop_of(vehicle, controller), vehicle.linear_model
     poles = np.linalg.eigvals(loop.closed_loop.A)
     if poles.real.max() >= 0:
@@ -78,7 +82,7 @@ def _deviations(
     road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
 
     def spectra(omega: Array) -> Array:
-        """Returns the spectra of the signals over the road's, shape (F, k)."""
+        """Returns the spectra of the signals relative to that of the road, shape (F, k)."""
         response = frequency_response(loop, signals, road_inputs(model, controller, omega), omega)
         amplitude = response @ sources(vehicle, road, omega)
         if weighting is not None:

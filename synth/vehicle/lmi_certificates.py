@@ -1,4 +1,4 @@
-"""LMI certificates of a vehicle's controllers: the claims about each loop and its goals, with names, units and fingerprints."""
+"""LMI certificates of a vehicle's controllers: claims about each loop and its goals, with signal names, units and checksums."""
 
 import json
 import re
@@ -35,21 +35,21 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, with_outputs_of_norm
 from synth.vehicle.verification import Verification, shifted_plant
 
-PERFORMANCE = "performance"  # the plant of [performance]
-CHECKERS = ("check_certificate.py", "check_certificate.html")
-MOST_STATES = 40  # of a loop: the proof of more takes minutes
+PERFORMANCE = "performance"  # name of the plant with z of [performance]
+CHECKERS = ("check_certificate.py", "check_certificate.html")  # programs that check a certificate
+MOST_STATES = 40  # largest number of states of a loop; proofs with more states take minutes
 SAMPLED = "its matrix exponentials are irrational"
 BAND = "a norm in a band is computed by level sets in floating point"
 ROAD = "the response to a road is computed in floating point"
 
 
 def certificate(designer: Designer, controller: Controller, law: ExportedLaw | None = None) -> dict[str, Any]:
-    """Returns the LMI certificate of a controller as JSON; without claims if it has none, but with the reason.
+    """Returns the LMI certificate of a controller as JSON. If nothing can be claimed, it contains the reason instead of claims.
 
     Args:
-        designer: the vehicle's designer.
-        controller: a linear controller of the vehicle.
-        law: the law as it is exported; the numbers of a static one are then those of the certificate.
+        designer: designer of the vehicle.
+        controller: linear controller of the vehicle.
+        law: law in its exported form. The certificate of a static law then uses the rounded numbers of the code.
     """
     vehicle = designer.vehicle
     about = {"vehicle": vehicle.kind.name, "fingerprints": _fingerprints(vehicle, controller, law)}
@@ -60,7 +60,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     if problem.integrals or problem.of_heights is not None:
         judged = problem.judged(own)
         if judged.with_road_heights is not None:
-            return _without_claims(controller, about, "a lasting height of the road shows in z")
+            return _without_claims(controller, about, "a constant road height affects z")
         plant, gain, k, base = replace(judged.plant, Cy=judged.G.Cy), judged.G.K, judged.law_states, None
         own_states = judged.states
     else:
@@ -86,7 +86,7 @@ def certificate(designer: Designer, controller: Controller, law: ExportedLaw | N
     if entry is not None and entry.goals is not None and base is not None and not own.states:
         _add_goals(document, vehicle, entry, own.D, names)
     elif controller.specifications:
-        document.leave_out("goals of the section", "this format has the goals of static gains", "none")
+        document.leave_out("goals of the section", "this format supports goals of static gains only", "none")
     return document.record(controller.name, about)
 
 
@@ -97,7 +97,7 @@ def _without_claims(controller: Controller, about: Mapping[str, Any], reason: st
 
 
 def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw, list[tuple[str, str]]]:
-    """Returns the law of a certificate, and the claims that it does not make, each with the reason."""
+    """Returns the law to which a certificate applies, and the claims that the certificate omits, each with the reason."""
     own = controller.law
     if law is None or not controller.acts:
         return own, []
@@ -113,7 +113,10 @@ def _own_law(controller: Controller, law: ExportedLaw | None) -> tuple[LinearLaw
 
 
 def _fingerprints(vehicle: Vehicle, controller: Controller, law: ExportedLaw | None) -> dict[str, str]:
-    """Returns the SHA-256 of the vehicle file and of the tables in C code: `grep -E '^(static|    [{])' NAME_data.h`."""
+    """Returns the SHA-256 of the vehicle file and of the tables in the C code.
+
+    The tables are the lines that `grep -E '^(static|    [{])' NAME_data.h` prints.
+    """
     try:
         law = law or exported_law(vehicle, controller, "double", c_name(controller.name))
     except InputError:
@@ -128,7 +131,7 @@ def _signal(vehicle: Vehicle, name: str) -> Signal:
 
 
 def _names(vehicle: Vehicle, controller: Controller, states: Sequence[str], measured: Sequence[Signal]) -> Names:
-    """Returns the names and units of a plant's signals."""
+    """Returns the names and units of all signals of a plant."""
     model, hardware = vehicle.linear_model, controller.hardware
     noise = zip(measured, hardware.noise, strict=False)
     return {
@@ -150,7 +153,7 @@ def _outputs(vehicle: Vehicle) -> list[Signal]:
 
 
 def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: Array, names: Names) -> None:
-    """Adds the claims about the goals of a section, for each vehicle of its family."""
+    """Adds the claims about the goals of a controller's section, for each vehicle of its family."""
     goals = entry.goals
     assert goals is not None, "they are given"
     asked = goal_problem(vehicle, entry, goals)
@@ -158,7 +161,7 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
     bounds = [bound for bound in goals.bounds if isinstance(bound, NormBound)]
     norms = [(goals.minimise, asked.minimise), *zip(bounds, asked.norms, strict=True)]
     if asked.bests is not None or goals.over == REGRET:
-        document.leave_out("largest ratio to a vehicle's own best", "the best of each vehicle is found by a search", "none")
+        document.leave_out("largest ratio to a vehicle's own best", "the optimum of each vehicle comes from a search", "none")
     for i, (member, which) in enumerate(zip(asked.members, verification.names, strict=True)):
 
         def loop(what: str, plant: Plant, of: Vehicle, outputs: list[Signal], which: str = which) -> tuple[str, ExactLoop]:
@@ -204,12 +207,15 @@ def _add_goals(document: Document, vehicle: Vehicle, entry: ControllerEntry, K: 
 
 
 def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: ExportedLaw | None = None) -> dict[str, str]:
-    """Returns the files of a folder of certificates: one for each controller, and the checkers in Python and JavaScript.
+    """Returns the files of a certificate folder: one certificate per controller, and the checkers in Python and JavaScript.
 
     Args:
-        vehicle: the vehicle.
-        controllers: linear controllers of it; those that measure nothing have no file.
-        law: the law of the only controller as it is exported.
+        vehicle: vehicle of the controllers.
+        controllers: linear controllers. Controllers that measure nothing have no certificate.
+        law: law in its exported form, if there is only one controller.
+
+    Returns:
+        Texts by file name; empty if no controller has a certificate.
     """
     texts = dict[str, str]()
     for controller in [one for one in controllers if one.measured]:
@@ -221,6 +227,6 @@ def certificate_texts(vehicle: Vehicle, controllers: Sequence[Controller], law: 
 
 
 def dumps(certificate: Mapping[str, Any]) -> str:
-    """Returns a certificate as text, with each row of a matrix and each signal on one line."""
+    """Returns a certificate as JSON text with one line for each row of a matrix and for each signal."""
     text = json.dumps(certificate, indent=1, ensure_ascii=False)
     return re.sub(r"[\[{]\n[^\[\]{}]*[\]}]", lambda inner: re.sub(r"\n\s*", " ", inner[0]), text) + "\n"

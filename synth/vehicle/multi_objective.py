@@ -1,4 +1,4 @@
-"""Controllers designed for the goals of their section: the problem, and the certified specifications."""
+"""Design of controllers for the goals of their section: the optimisation problem and the certified specifications."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,14 +29,14 @@ from synth.plant.generalized import Plant
 from synth.vehicle.design_problem import certify_ideal_loop
 from synth.vehicle.verification import Verification
 
-USUAL_SPEED = 12.5  # m/s, the paper's (62)
+USUAL_SPEED = 12.5  # speed [m/s] if a bound gives none; the speed of the paper, (62)
 
 
 def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Vehicle]:
-    """The vehicles that a design is for.
+    """Returns the vehicles of the family for which a section is designed.
 
     Raises:
-        InputError: a vehicle cannot be in a family with the others.
+        InputError: the parameters of a vehicle in the family are invalid.
     """
     members = []
     for i, member in enumerate(goals.family or ({},)):
@@ -47,10 +47,11 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
 
 
 def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
-    """Returns the problem of a section with goals, without the individual optima of its members.
+    """Returns the optimisation problem of a section with goals, without the individual optima of the vehicles.
 
     Raises:
-        InputError: an unknown or endless road, or an impossible member or measurement. The message names the file and the bound.
+        InputError: a road is unknown or has no end, or a vehicle or measurement is invalid. The message gives the file and the
+            bound.
     """
     try:
         return _goal_problem(vehicle, entry, goals)
@@ -76,17 +77,17 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 
 def with_outputs_of_norm(vehicle: Vehicle, norm: NormOf) -> Vehicle:
-    """The vehicle whose z is that of a norm."""
+    """Returns the vehicle with the signals and weights of a norm goal as its output z."""
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
 def _with_norm(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Plant:
-    """A vehicle with the z of a norm."""
+    """Returns the plant of a vehicle with the output z of a norm goal."""
     return problem(with_outputs_of_norm(vehicle, norm), entry.measured, entry.hardware).plant
 
 
 def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
-    """A vehicle on the road of a bound."""
+    """Returns the loop of a vehicle on the road of a peak bound."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
     (C, D), (Cy, Dyu) = model.rows([bound.peak]), model.rows(entry.measured)
@@ -95,7 +96,7 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
     felt, end = road.from_start, road.duration
     displacement, velocity = felt.displacement, felt.velocity
-    if felt is not road:  # a measured road is level after its end
+    if felt is not road:  # a road from measured points is level after its end
 
         def displacement(t: Array, side: str) -> Array:
             return felt.displacement(np.minimum(t, end), side)
@@ -121,7 +122,7 @@ def _on_road_of_bound(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound
 
 
 def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Refuses signals that jump with the road's velocity."""
+    """Raises an InputError for signals that contain the road velocity, and therefore jump with it."""
     model = vehicle.linear_model
     if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
@@ -131,7 +132,7 @@ def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
 
 
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
-    """The signal of a bound for roads of given energy, on the states of what is minimised."""
+    """Returns the signal of an energy bound, as a row on the states of the plant of the minimised norm."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.energy_peak)]):
         raise InputError(
@@ -149,8 +150,12 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
 
 
 def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
-    """Returns the road of a bound."""
-    from models.roads.choice import choose_road  # it knows every kind of road and load, and their files
+    """Returns the road of a peak bound.
+
+    Raises:
+        InputError: the road is unknown, has loads or a vertical edge, or has no end.
+    """
+    from models.roads.choice import choose_road  # imports the code of all roads, loads and their files
 
     where = f"{where} road = {bound.road!r}"
     with error_in(f"{where}:"):
@@ -168,17 +173,24 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
 def goals_design(
     vehicle: Vehicle, entry: ControllerEntry, goals: Goals, plant_problem: Problem, lower_bound: LowerBound, on_progress: Progress
 ) -> Controller:
-    """The controller of a section with goals.
+    """Designs the controller of a section with goals.
 
     Args:
-        plant_problem: the problem of its certificate: z of `[performance]` at all frequencies.
+        vehicle: vehicle with the section.
+        entry: controller's section.
+        goals: goals of the section.
+        plant_problem: control problem of the certificate, with z of `[performance]` at all frequencies.
+        lower_bound: lower bound on the norm for any controller with these measurements.
         on_progress: callback that receives the progress of the search.
+
+    Returns:
+        The controller with its certificate and verified specifications, as a `Controller`.
 
     Raises:
         DesignError: no controller was found.
     """
     problem = goal_problem(vehicle, entry, goals)
-    # Said of every family, minimised where that is asked for.
+    # The ratios to the individual optima are reported for every family, and minimised if the goals request it.
     bests = with_individual_optima(problem) if goals.family else problem
     certify = certify_ideal_loop(plant_problem, lower_bound)
     asked = DesignProblem(plant_problem.plant, goals=bests if goals.over == REGRET else problem, thorough=False, certify=certify)
@@ -192,7 +204,7 @@ def goals_design(
     if goals.structure is not None and not np.all(problem.structure):
         assert asked.goals is not None, "goals"
         full = replace(asked.goals, structure=np.ones_like(problem.structure))
-        goal = improved_goal(full, design.details, on_progress)  # which descends from the design for a limited number of rounds
+        goal = improved_goal(full, design.details, on_progress)  # descends from the design for a limited number of rounds
         said.append(
             f"the structure costs at least {percent(design.value / goal - 1)}: a gain with every entry reaches {digits(goal)}, "
             "and may reach a lower value"
@@ -207,10 +219,14 @@ def verify_specifications(
     """Verifies a given gain against the goals of its section.
 
     Args:
-        search: True to include the ratio to each vehicle's own optimum in a family, which requires designs.
+        vehicle: vehicle with the section.
+        entry: controller's section.
+        goals: goals of the section.
+        law: static law of the section.
+        search: True to include the ratio to each vehicle's individual optimum in a family, which requires further designs.
 
     Raises:
-        DesignError: a vehicle of the family has no gain within the bounds by itself, if its ratio is included.
+        DesignError: the ratios are included, but no gain satisfies the bounds for one of the vehicles alone.
     """
     problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:

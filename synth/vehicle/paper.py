@@ -1,10 +1,11 @@
-"""Comparison with the paper's printed designs, (40)-(60), and with its remarks 4 and 5 on other ways to a gain.
+"""Comparison with the paper's published designs, (40)-(60), and with its remarks 4 and 5 on other design methods.
 
-Remark 4: with the states (30) problem (25) has no solution for L = 0. With z_s, z_u and their velocities, as in [33], it has one
-for controller I and none for II. There the road's height is w, for its velocity would need a state more; z is the same.
+Remark 4: with the states (30), problem (25) has no solution for L = 0. With z_s, z_u and their velocities as states, as in
+[33], it has a solution for controller I and none for II. With these states, w is the road height, because the road velocity
+would require an additional state. The output z is the same.
 
-Remark 5: in [19] controller I was found by a genetic algorithm. Its kind of search stands here as `differential_evolution`: it
-asks for nothing but the norm of a gain, within a box that has to be given, and what it finds depends on box and seed.
+Remark 5: in [19], controller I was found by a genetic algorithm. `differential_evolution` represents this type of search here.
+This search uses only the norm of a gain, within a given box. The result depends on the box and on the seed.
 """
 
 import math
@@ -23,7 +24,7 @@ from synth.plant.generalized import Feedback, Plant
 from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
-# The bases (47) and (57) that the paper chose; L depends on them, K does not.
+# Bases (47) and (57) that the paper chose; L depends on these bases, K does not.
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}  # (46), (55)
 Q = {"I": np.eye(4)[:, [1, 3]], "II": np.eye(4)[:, [1, 0, 3]]}  # (47), (57)
 
@@ -33,15 +34,15 @@ EXACT = ""
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """A number of the paper.
+    """Published number of the paper.
 
     Attributes:
         equation: place in the paper.
         quantity: symbol of the quantity.
-        entry: row and column from 0; None for a scalar.
-        value: value as published.
-        digit: unit of its last printed digit.
-        reason: reason for a difference in that digit; empty without a difference.
+        entry: row and column, counted from 0; None for a scalar.
+        value: published value.
+        digit: unit of the last published digit.
+        reason: reason if Roadproof's value differs in this digit; else empty.
     """
 
     equation: str
@@ -52,8 +53,9 @@ class PrintedNumber:
     reason: str
 
 
-NOT = math.nan  # an entry that is not printed, or follows by symmetry
-# Equation, symbol, unit of the last printed digit, value or matrix, and the entries of which the paper's solver stopped short.
+NOT = math.nan  # an entry that is not published, or that follows by symmetry
+# Columns: equation, symbol, unit of the last published digit, value or matrix, and the entries for which the paper's solver
+# stopped too early.
 _RESULTS = (
     ("(40)", "G_s", 1e0, [[1.1810e4, 0.2333e4, -0.1096e4, 0.0109e4]], [(0, 2)]),
     ("(41)", "gamma_Gs", 1e-4, 7.8365, []),
@@ -87,13 +89,13 @@ PRINTED_NUMBERS = tuple(
 
 
 def is_the_papers(vehicle: Vehicle) -> bool:
-    """Returns True if a vehicle has the parameters (33) and weights (38)."""
+    """Returns True if a vehicle has the parameters (33) and the weights (38) of the paper."""
     paper = read_vehicle("quarter_car")
     return not vehicle.filtered and vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
 
 
 def ours(designer: Designer) -> dict[str, Array | float]:
-    """The same quantities of the paper's vehicle, computed here, by symbol."""
+    """Returns the quantities of the paper as computed by Roadproof, by symbol."""
     step = designer.state_feedback
     values: dict[str, Array | float] = {"G_s": step.K, "X_s": step.X, "gamma_Gs": step.gamma}
     for name in ("I", "II"):
@@ -111,22 +113,22 @@ def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
 
 
 TO_RELATIVE = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # (30) is TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
-BOX = 2e4  # of every entry of the gain, in its unit: about twice the paper's largest
+ROAD = np.array([[0.0], [-1.0], [0.0], [0.0]])  # the states (30) are TO_RELATIVE [z_s z_u z_s' z_u']' + ROAD z_r
+BOX = 2e4  # limit of every entry of the gain [N per unit of the measurement]: about twice the paper's largest entry
 SEED = 1
-TOLERANCE = 1e-6  # of the population's norms, relative, at which the search ends
-UNSTABLE = 1e6  # what an unstable loop counts: far more than a stable one, and the more the faster it grows
+TOLERANCE = 1e-6  # relative spread of the population's norms at which the search ends
+UNSTABLE = 1e6  # value of an unstable loop: far above stable ones, and larger the faster the loop grows
 
 
 @dataclass(frozen=True, eq=False)
 class WithoutL:
-    """Remark 4 of one controller.
+    """Result of remark 4 (L = 0) for one controller.
 
     Attributes:
-        controller: I or II.
-        states: "(30)" or "[33]".
-        gain: K, shape (1, q); None if (25) has no solution for L = 0.
-        bound: gamma of (25); None likewise.
+        controller: name of the controller, I or II.
+        states: choice of states, "(30)" or "[33]".
+        gain: gain K, shape (1, q); None if (25) has no solution for L = 0.
+        bound: gamma of (25); None if (25) has no solution.
         best: gamma of (22) for the same plant, a lower bound for any gain.
     """
 
@@ -139,14 +141,14 @@ class WithoutL:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Remark 5: one way to a gain.
+    """Result of one design method for remark 5.
 
     Attributes:
-        controller: I or II.
-        how: method, in words.
-        gain: K, shape (1, q).
-        norm: norm of the gain.
-        work: number of problems solved or norms computed, in words.
+        controller: name of the controller, I or II.
+        how: name of the method.
+        gain: gain K, shape (1, q).
+        norm: norm of the closed loop.
+        work: text with the number of LMI problems solved or norms computed.
         seconds: processor time [s].
     """
 
@@ -159,14 +161,14 @@ class Way:
 
 
 def absolute_states(plant: Plant) -> Plant:
-    """The paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and w = z_r."""
+    """Returns the paper's plant with the states of [33], z_s, z_u, z_s' and z_u', and the road height as w."""
     A = np.vstack([np.eye(4)[2:], plant.A[2:] @ TO_RELATIVE])
     B, Bw = (np.vstack([np.zeros((2, 1)), rows]) for rows in (plant.B[2:], plant.A[2:] @ ROAD))
     return Plant(A=A, B=B, Bw=Bw, C=plant.C @ TO_RELATIVE, D=plant.D, Dw=plant.C @ ROAD)
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
-    """L = 0 for both controllers, with both choices of states."""
+    """Returns the results for L = 0: both controllers, with both choices of states."""
     cases = []
     for states, plant, turned in (
         ("(30)", designer.plant, np.eye(4)),
@@ -185,8 +187,8 @@ def remark_4(designer: Designer) -> list[WithoutL]:
 
 @numerics()
 def remark_5(designer: Designer) -> list[Way]:
-    """The two steps beside a genetic algorithm, for both controllers."""
-    from scipy.optimize import differential_evolution  # half a second
+    """Returns the results of the two steps and of a genetic algorithm, for both controllers."""
+    from scipy.optimize import differential_evolution  # the import takes 0.5 s
 
     ways, plant = [], designer.plant
     for name, Cy in CY.items():
@@ -203,6 +205,6 @@ def remark_5(designer: Designer) -> list[Way]:
         box, given, rng = [(-BOX, BOX)] * len(Cy), (Landscape(plant.measured(Cy)),), np.random.default_rng(SEED)
         search = differential_evolution(norm, box, given, rng=rng, tol=TOLERANCE, polish=False)
         seconds = time.process_time() - begin
-        value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by both routes; one is enough to search by
+        value = hinf_norm(plant.closed_loop(Feedback(search.x[None], Cy))).value  # by two methods; the search itself used one
         ways.append(Way(name, "genetic", search.x[None], value, f"{search.nfev} norms", seconds))
     return ways

@@ -1,4 +1,4 @@
-"""A controller after `--refine`, with its trade-off, and the estimated benefit of `--refine`."""
+"""Result of `--refine` for a controller, with its trade-off, and an estimate of the benefit of `--refine`."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,13 @@ from synth.design.two_step import independent_rows
 
 @dataclass(frozen=True, eq=False)
 class RefinedController:
-    """A controller whose norm was lowered, and its refinement.
+    """Controller whose norm was reduced, and details of its refinement.
 
     Attributes:
-        controller: the refined one, with its certificate.
-        start: the controller before refinement; None if the two steps find no gain.
-        origin: other start of the descent, in words; empty if it began at `start`.
-        refinement: the norms before and after, the growth of the gain, and what was refused.
+        controller: refined controller with its certificate.
+        start: controller before refinement; None if the two steps found no gain.
+        origin: text about another starting point of the descent; empty if the descent began at `start`.
+        refinement: norms before and after, growth of the gain, and further decreases that were rejected.
     """
 
     controller: Controller
@@ -34,7 +34,7 @@ class RefinedController:
 
     @property
     def trade_off_text(self) -> str:
-        """The trade-off of the refinement, in words."""
+        """Text about the trade-off of the refinement."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.trade_off_text}"
 
 
@@ -44,11 +44,14 @@ def refine_controller(
     """Returns the controller of an entry with a lower norm.
 
     Args:
-        problem: the problem that it is judged with.
-        start: the controller to refine; None if the two steps find no gain: then the best result of other starts is returned.
+        vehicle: vehicle of the controller.
+        entry: controller's section.
+        problem: control problem with which the controller is evaluated.
+        start: controller to refine. None if the two steps found no gain; the best result of other starting points is then used.
+        lower_bound: lower bound on the norm for any controller with these measurements.
 
     Raises:
-        DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
+        DesignError: the gain of `start` does not stabilise the vehicle, or no starting point leads to a gain.
     """
     if entry.request.sampled and start is not None:
         from synth.controller.implementation_norm import held_problem
@@ -78,7 +81,7 @@ def refine_controller(
 
 
 def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
-    """Returns the relative decrease of a stable controller's norm that refining reaches at least; 0 below seven digits."""
+    """Returns a relative decrease of a stable controller's norm that refinement reaches; 0 if it is negligible."""
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
@@ -89,5 +92,5 @@ def worth(vehicle: Vehicle, controller: Controller, problem: Problem) -> float:
 
 
 def _gain(vehicle: Vehicle, controller: Controller, problem: Problem, kept: list[int]) -> Array:
-    """Returns the controller's gain on the independent measurements, shape (m, len(kept))."""
+    """Returns the gain of the controller on the independent measurements, shape (m, len(kept))."""
     return from_some(controller.law_on_states(vehicle).D, problem.plant.Cy, kept)

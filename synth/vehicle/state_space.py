@@ -1,4 +1,7 @@
-"""Plants and controllers from a `control.StateSpace` with named signals, and back; any object with its attributes will do."""
+"""Conversion of plants and controllers from and to `control.StateSpace` objects of python-control, with named signals.
+
+Functions accept any object with the attributes of a `control.StateSpace`.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -19,26 +22,27 @@ from synth.vehicle.designer import certify_given
 if TYPE_CHECKING:
     import control
 
-UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that nobody named
+UNNAMED_SIGNAL = re.compile(r"[uy]\[\d+\]")  # default name of a signal in python-control
 
 
 def from_state_space(
     system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
 ) -> tuple[Plant, Array]:
-    """Returns the plant (15) and C_y of a system with named signals, continuous or discrete like the system.
+    """Converts a system with named signals to a plant (15) and the matrix C_y of its measurements.
 
     Args:
-        system: `control.StateSpace`: A, B, C, D, input_labels, output_labels, and dt if it is sampled: seconds.
-        disturbances: the inputs that are w; all others are u.
-        performance: weights of the outputs that make z, by name.
-        measured: the outputs that make y. None of them may contain u or w.
+        system: `control.StateSpace`, or an object with A, B, C, D, input_labels and output_labels. If it is discrete, `dt` is
+            its sample period [s].
+        disturbances: names of the inputs that are disturbances w. All other inputs are controls u.
+        performance: weights of the outputs that form z, by name.
+        measured: names of the outputs that form y. These outputs must not contain u or w directly.
 
     Returns:
-        The plant, and C_y of shape (q, n).
+        The plant, continuous or discrete like the system, and C_y of shape (q, n).
 
     Raises:
-        InputError: a signal is unknown; disturbances, positive weights or measurements are missing; a sampled system has no
-            sample period; or a measurement contains u or w.
+        InputError: a signal is unknown; disturbances, positive weights or measurements are missing; a discrete system has no
+            sample period; or a measurement contains u or w directly.
 
     Example:
         >>> import control
@@ -60,7 +64,7 @@ def from_state_space(
             if name not in there:
                 raise InputError(f"unknown {what} {name!r}; the system has {list_names(there)}")
     if not disturbances:
-        raise InputError(f"no disturbance is named; give at least one of the inputs {list_names(inputs)}")
+        raise InputError(f"no disturbance is given; give at least one of the inputs {list_names(inputs)}")
     weights = {name: float(weight) for name, weight in performance.items() if weight != 0}
     if not weights:
         raise InputError(f"the weights are all zero; give at least one weight to the outputs {list_names(outputs)}")
@@ -85,7 +89,7 @@ def _matrices(system: Any) -> list[Array]:
 
 
 def _sample_period(system: Any) -> float | None:
-    """The seconds between samples of a system; None of a continuous one."""
+    """Returns the sample period of a system [s]; None if the system is continuous."""
     period = getattr(system, "dt", None)
     if period is True:
         raise InputError("the system is sampled without a sample period (dt = True); give dt in seconds")
@@ -93,13 +97,17 @@ def _sample_period(system: Any) -> float | None:
 
 
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
-    """Returns a system from the measurements to the forces as a controller, certified unchanged.
+    """Converts a linear system to a certified controller. The system leads from the measurements to the forces.
 
     Args:
+        vehicle: vehicle of the controller.
         name: name of the controller.
-        measured: signals at its inputs. If the system names its inputs or outputs, the names of signals and forces count, not
-            their order.
-        system: `control.StateSpace`, or anything that has A, B, C, D, and dt if it is sampled: seconds.
+        measured: names of the signals at the inputs of the system. If the system has names for its inputs or outputs, these
+            names determine the signals and forces; otherwise their order does.
+        system: `control.StateSpace`, or an object with A, B, C and D. If it is discrete, `dt` is its sample period [s].
+
+    Returns:
+        The controller with its certificate, as a `Controller`. Its law is the given system, unchanged.
 
     Raises:
         InputError: a signal, a shape, an entry or the sample period does not fit the vehicle.
@@ -114,7 +122,8 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         >>> controller.law.states, f"{controller.certificate.norm.value:.3f}"
         (1, '7.845')
     """
-    law = LinearLaw(*_matrices(system), sample_period=_sample_period(system))  # shapes that do not fit together are its to name
+    # Raises an error if the shapes do not fit together
+    law = LinearLaw(*_matrices(system), sample_period=_sample_period(system))
     columns = _order(system, "input_labels", measured)
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)
     if law.D.shape == (len(rows), len(columns)):
@@ -126,11 +135,14 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
 
 
 def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
-    """Returns a controller as a system from measurements to forces, with names; continuous or sampled like its law.
+    """Converts the law of a controller to a `control.StateSpace` with named signals, from measurements to forces.
 
     Args:
-        vehicle: the vehicle of the controller.
-        controller: a linear controller that measures something.
+        vehicle: vehicle of the controller.
+        controller: linear controller with at least one measurement.
+
+    Returns:
+        The law as a `control.StateSpace`, continuous or discrete like the law.
 
     Raises:
         InputError: the controller has no measurements, or belongs to another vehicle.
@@ -168,7 +180,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 
 
 def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
-    """The places of names among a system's inputs or outputs; as they come, where it has no names for them."""
+    """Returns the positions of names among the inputs or outputs of a system; if the system has no names, the given order."""
     given_names = list(getattr(system, labels, None) or names)
     if all(UNNAMED_SIGNAL.fullmatch(label) for label in given_names):
         return list(range(len(names)))
@@ -180,15 +192,18 @@ def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
 
 
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
-    """The closed loop (16), continuous, from the roads to every output of the vehicle, each by its name and in its unit.
+    """Returns the closed loop (16) as a continuous `control.StateSpace`, from the roads to every output of the vehicle.
 
-    Heights over the datum of a flat road are left out, as no bounded velocity of the road bounds them.
-    Sensors are without noise and actuators without lag. The first inputs are the road velocities [m/s]. Where the road's height
-    acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
+    Sensors have no noise, and actuators have no lag. Heights above the datum of a flat road are omitted, because a bounded road
+    velocity does not bound them. The first inputs are the road velocities [m/s]. If road warp acts by its height, as in a full
+    car, each warp is a further input. A warp is given as a velocity: its height times `twist_rate` of the linear model.
 
     Args:
         vehicle: vehicle whose outputs are those of the loop.
-        controller: controller, designed or given, with a linear law.
+        controller: designed or given controller with a linear law.
+
+    Returns:
+        The closed loop as a `control.StateSpace`. Outputs have the names and units of the vehicle's signals.
 
     Example:
         >>> from models import read_vehicle
@@ -205,10 +220,11 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
 
 def loop_to(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
-    """Returns the closed loop to a vehicle's z, whose entries have the names of `outputs`.
+    """Returns the closed loop from the disturbances to the z of a vehicle, whose entries have the names `outputs`.
 
-    If the road has a filter, each input is what comes into it, `w[road]`. The noise of a sensor that the design counts is an
-    input of its rms, `noise[signal]`. A load is an input, too, `load[name]`: 1 is what counts as 1 m/s.
+    If the road has a filter, the inputs are those of the filter, `w[road]`. The noise of a sensor, if the design includes it,
+    is an input in units of its rms, `noise[signal]`. A load is an input `load[name]`, in units of the load that counts as 1
+    m/s.
     """
     check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss

@@ -1,4 +1,4 @@
-"""Verification of a gain against its goals, independent of the search: norms in bands, decay, peaks, errors, families."""
+"""Verification of a gain against its goals, independent of the search: band norms, decay, peaks, gain errors and families."""
 
 import itertools
 from collections.abc import Sequence
@@ -27,20 +27,20 @@ from synth.design.uncertainty.worst_case import Proof, WorstNorm, stable_with_er
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError
 
-CLOSE = 1e-3  # relative; a bound in a band so close above what is met needs no other
+CLOSE = 1e-3  # relative distance of a bound in a band from the reached norm below which no further proof is tried
 ERROR = Field[float]("error", float, "+.3g", 100, unit="%")
 TIME = Field[float]("time", float, ".4g", unit="s")
 
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """The verification of one gain.
+    """Verification of one gain against the goals of its section.
 
     Attributes:
-        vehicle, entry, goals: the section with its goals.
-        problem: the goals as a problem on plants.
-        K: shape (m, q).
-        known: cache of worst norms.
+        vehicle, entry, goals: vehicle, controller's section, and goals of the section.
+        problem: goals as an optimisation problem on plants.
+        K: gain, shape (m, q).
+        known: worst norms that are computed already.
     """
 
     vehicle: Vehicle
@@ -52,12 +52,12 @@ class Verification:
 
     @property
     def names(self) -> list[str]:
-        """Names of the members of the family, in words; one empty text without a family."""
+        """Texts that identify the vehicles of the family; a single empty text without a family."""
         factors = [" and ".join(f"{name} x {by:g}" for name, by in member.items()) for member in self.goals.family]
         return [f"vehicle {i}, {text or 'unchanged'}" for i, text in enumerate(factors)] or [""]
 
     def promises(self) -> tuple[Specification, ...]:
-        """All of them, what is minimised first."""
+        """Returns all specifications; the specifications of the minimised norm come first."""
         problem, goals = self.problem, self.goals
         specifications = [*self.largest(goals.minimise, problem.minimise)]
         if problem.bests is not None:
@@ -83,7 +83,7 @@ class Verification:
         return tuple(specifications)
 
     def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
-        """A norm over the family without errors, and with the worst ones."""
+        """Returns the specifications of a norm over the family: without gain errors and, if given, with the worst ones."""
         of = [_norm(member.plants[spec.which], self.K, spec) for member in self.problem.members]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         at = [f"at {FREQUENCY.text(at)}" if np.isfinite(at) else "" for _, _, at in of]
@@ -105,11 +105,15 @@ class Verification:
         at: Sequence[str] = (),
         proofs: Sequence[Proof | None] = (),
     ) -> Specification:
-        """Returns the specification of the largest of the members' values, each with a proved bound.
+        """Returns the specification of the largest value among the vehicles of the family.
 
         Args:
-            at: place of each value within its member, in words; empty for none.
-            proofs: proof of each bound for all errors; empty without errors.
+            what: name of the quantity.
+            of: value and proved bound for each vehicle.
+            at_most: largest allowed value; None if the quantity is minimised.
+            unit: unit of the values.
+            at: text about the place of each value, such as its frequency; may be empty.
+            proofs: proof of each bound for all gain errors; empty without errors.
         """
         i = int(np.argmax([value for value, _ in of]))
         where = ", ".join(filter(None, (self.names[i], at[i] if at else "")))
@@ -117,7 +121,7 @@ class Verification:
         return Specification(what, of[i][0], max(proved for _, proved in of), at_most, unit, where, how)
 
     def regret(self, bests: Sequence[float]) -> Specification:
-        """The largest ratio to what each member has at its own best."""
+        """Returns the specification of the largest ratio to each vehicle's individual optimum."""
         problem, proofs = self.problem, []
         if problem.has_errors:
             worst = self.worst(problem.minimise)
@@ -129,7 +133,7 @@ class Verification:
         return self.most(f"largest ratio to a vehicle's own best{with_errors}", ratios, proofs=proofs)
 
     def worst(self, spec: NormSpecification) -> list[WorstNorm]:
-        """The norm of every member with the worst errors."""
+        """Returns the norm of every vehicle for the worst gain errors."""
         if spec not in self.known:
             members = range(len(self.problem.members))
             self.known[spec] = [
@@ -138,13 +142,16 @@ class Verification:
         return self.known[spec]
 
     def worst_of(self, i: int, spec: NormSpecification) -> WorstNorm:
-        """The norm of a member at all frequencies, or behind the filter of a band, with the worst errors."""
+        """Returns the norm of a vehicle for the worst gain errors, over all frequencies or with a band filter."""
         tolerance, enough = self.problem.tolerance, spec.at_most if np.isfinite(spec.at_most) else None
         problem = in_band(self.problem.members[i].plants[spec.which], spec.band)
         return worst_norm(problem, None, self.K, tolerance.sensors, tolerance.forces, enough=enough)
 
     def worst_in_band(self, i: int, spec: NormSpecification) -> WorstNorm:
-        """The norm of a member in a band with the worst errors, proved by multipliers, or else behind a filter."""
+        """Returns the norm of a vehicle in a band for the worst gain errors.
+
+        The bound is proved by multipliers or, if this fails, with a band filter.
+        """
         problem, tolerance = self.problem.members[i].plants[spec.which], self.problem.tolerance
         best = self.problem.bests[i] if spec is self.problem.minimise and self.problem.bests is not None else 1.0
         tried = [worst_of_norm(self.problem, i, spec, best, self.K)[1], self.problem.no_errors]
@@ -153,7 +160,7 @@ class Verification:
         box = box_of(gain, tolerance.sensors, tolerance.forces)
         if problem.dt is None and stable_in_box(gain, box) is not None:
             proof = bound_in_band(gain, box, *spec.band, unit * (1 + NEAR))
-        if proof is None or proof.bound > unit * (1 + CLOSE):  # the norm behind the filter is at least that in the band
+        if proof is None or proof.bound > unit * (1 + CLOSE):  # the norm with the filter is at least the norm in the band
             behind = self.worst_of(i, spec)
             tried = [GainErrors(behind.readings, behind.forces), *tried]
             if proof is None or behind.proved < proof.bound:
@@ -163,7 +170,10 @@ class Verification:
         return WorstNorm(max(values), worst.sensors, worst.forces, proof.bound if proof is not None else np.inf, proof)
 
     def decay(self, rate: float) -> list[Specification]:
-        """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
+        """Returns the specifications of the slowest pole in the family: without gain errors and, if given, with the worst ones.
+
+        With errors, the proof is the stability of loops whose poles are shifted to the right by the rate.
+        """
         slowest = [_slowest(member.plants[0], self.K) for member in self.problem.members]
         i = int(np.argmax(slowest))
         specifications = [Specification("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
@@ -179,20 +189,20 @@ class Verification:
         return [*specifications, self.most("slowest pole, with errors", of, -rate, "rad/s", proofs=proofs)]
 
     def energy_peak(self, bound: EnergyBound, which: int) -> Specification:
-        """The largest magnitude of a signal for all roads of given energy."""
+        """Returns the specification of the largest magnitude of a signal for all roads of given energy."""
         of = []
         for member in self.problem.members:
             problem, signal = member.plants[self.problem.minimise.which], member.signals[which]
             try:
                 peaks = energy_peaks(problem, problem.acting(self.K) @ problem.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
-            except DesignError:  # unstable
+            except DesignError:  # the loop is unstable
                 of.append((np.inf, np.inf))
         what = f"largest {bound.energy_peak} for roads of {bound.energy:g} m2/s"
         return self.most(what, of, bound.at_most, self.vehicle.kind.signal(bound.energy_peak).unit)
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
-        """The largest magnitude of a signal over a road."""
+        """Returns the specification of the largest magnitude of a signal over a road."""
         of = [peak_over_road(member.driven_by[which], self.K) for member in self.problem.members]
         at = [f"{TIME.text(peak.time)} after its start" for peak in of]
         values, unit = [(peak.value, peak.proved) for peak in of], self.vehicle.kind.signal(bound.peak).unit
@@ -200,7 +210,7 @@ class Verification:
 
 
 def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
-    """Returns the norm in the band, a proved bound, and its frequency; infinite if the loop is unstable."""
+    """Returns the norm in the band, a proved bound, and its frequency [rad/s]; infinite if the loop is unstable."""
     norm = norm_in_band(_loop(plant, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
@@ -208,13 +218,16 @@ def _norm(plant: Plant, K: Array, spec: NormSpecification) -> tuple[float, float
 
 
 def shifted_plant(plant: Plant, rate: float) -> Plant:
-    """Returns the plant without its filters, shifted: its loops are stable if those of this one decay faster than a rate."""
+    """Returns the plant without its filters and with shifted poles.
+
+    A loop with this plant is stable if the loop with the original plant decays faster than `rate` [1/s].
+    """
     alone = plant.without_weighting
     return replace(alone, A=alone.A + rate * np.eye(len(alone.A)))
 
 
 def _slowest(plant: Plant, K: Array) -> float:
-    """The largest real part of a pole of a loop; filters' own do not count."""
+    """Returns the largest real part of the poles of a loop [1/s], without the poles of filters."""
     own = len(plant.A) - plant.weights
     return max(float(np.real(pole)) for pole in stability(_loop(plant, K).A[:own, :own]).poles)
 

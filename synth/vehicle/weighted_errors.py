@@ -1,7 +1,7 @@
-"""Robust stability and robust performance of a controller whose errors are weighted by frequency, proved.
+"""Robust stability and robust performance of a controller for frequency-weighted uncertainties, with proofs.
 
-Both are peaks over frequency of the structured singular value mu of its loop. The loop stays stable with all errors of size below
-1 / mu. With the performance, mu <= gamma says that for all errors of size 1 / gamma its norm is at most gamma.
+Both are peaks over frequency of the structured singular value mu of a loop. The loop stays stable for all uncertainties of size
+below 1 / mu. For robust performance, mu <= gamma means that the norm is at most gamma for all uncertainties of size 1 / gamma.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ CONTINUOUS_LOOP_REMARK = "robust stability and performance (mu) are those of the
 
 
 def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
-    """Returns a controller with its specifications for weighted errors; unchanged if its loop is unstable without errors."""
+    """Adds the specifications for weighted uncertainties to a controller. An unstable controller is returned unchanged."""
     if not controller.certificate.stable:
         return controller
     loop = structured_plant(vehicle, controller, errors).closed_by(controller.law.continuous())
@@ -38,7 +38,7 @@ def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedEr
 
 
 def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specification:
-    """Returns a lower bound on the peak of mu, shown by errors, and a proved upper bound."""
+    """Returns the specification of the peak of mu: a lower bound that actual uncertainties show, and a proved upper bound."""
     above = structured_bound(loop)
     below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
     value = below.mu if below is not None else np.inf
@@ -49,14 +49,14 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
 
 
 def is_robust_design(entry: ControllerEntry) -> bool:
-    """Returns True if a controller is designed for its weighted errors: one with `order`, for the continuous loop."""
+    """Returns True if a controller is designed for its weighted uncertainties: it has `order`, and is not a sampled design."""
     request, structure = entry.request, entry.request.structure
     free = request.design == FULL if structure is None else not (structure.kind or structure.rows)
     return entry.errors is not None and free and not request.sampled
 
 
 def structured_plant(vehicle: Vehicle, controller: Controller | ControllerEntry, errors: WeightedErrors) -> StructuredPlant:
-    """Returns the plant of a controller from [w; p; u] to [z; q; y], see `StructuredPlant`."""
+    """Returns the plant of a controller from [w; p; u] to [z; q; y]; see `StructuredPlant`."""
     plant_problem, inputs = problem(vehicle, controller.measured, controller.hardware), vehicle.linear_model.inputs
     weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
     of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, plant_problem.plant.B.shape, plant_problem.plant.D.shape)
@@ -71,7 +71,7 @@ def _systems(weights: list[Filter | None]) -> list[StateSpace | None]:
 def _of_added_force(
     vehicle: Vehicle, bandwidth: float | None, of_states: tuple[int, ...], of_z: tuple[int, ...]
 ) -> tuple[Array, Array]:
-    """Returns B and D of a force that is added to the requested one, which z weighs without it."""
+    """Returns B and D for a force that is added to the requested force; z contains only the requested force."""
     forces = vehicle.linear_model.inputs
     other = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal not in forces]
     without = [replace(one, terms={name: by for name, by in one.terms.items() if name not in forces}) for one in vehicle.sums]

@@ -337,7 +337,7 @@ def test_a_file_of_many_leaves_it_out(tmp_path, capsys):
         assert (
             main_of("synth")([*command, *(["--controller", "lqr", "--controller", "ahead"] if option == "--save" else [])]) == 0
         )
-        assert "left out: ahead, because this file cannot contain a preview" in capsys.readouterr().out
+        assert "omitted: ahead, because this file cannot contain a preview" in capsys.readouterr().out
     saved = read_vehicle(tmp_path / "saved.toml").controllers
     assert "lqr_designed" in saved
     assert "ahead_designed" not in saved

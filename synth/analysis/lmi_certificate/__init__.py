@@ -1,1 +1,1 @@
-"""LMI certificates: claims about controllers as JSON that anybody can check in rational arithmetic."""
+"""LMI certificates: JSON files with claims about controllers that anyone can check in rational arithmetic."""

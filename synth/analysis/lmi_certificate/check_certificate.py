@@ -1,6 +1,6 @@
 """Checks an "LMI certificate 1" in exact rational arithmetic: python check_certificate.py FILE.json
 
-Exit code 0: every claim is proved. 1: a claim is not proved. 2: the file is not a certificate, or a claim is not exact.
+Exit code: 0 if every claim is proved, 1 if a claim is not proved, 2 if the file is not a certificate or has an inexact claim.
 """
 
 import json
@@ -17,7 +17,7 @@ SIGNALS = {"x": "states", "u": "inputs", "w": "disturbances", "z": "outputs", "y
 KINDS = ("stability", "decay", "norm", "energy_to_peak", "lower_bound", "invariant_point", "box")
 
 class Matrix:
-    """Rows of rational numbers; A | B has those of A above those of B."""
+    """Matrix of rational numbers, stored as rows. A | B stacks A above B."""
     T = property(lambda self: Matrix(zip(*self.rows, strict=True)))  # the transposed matrix
     square = property(lambda self: sum(x * x for row in self.rows for x in row))  # sum of the squares of all entries
     def __init__(self, rows):
@@ -32,7 +32,7 @@ class Matrix:
         return Matrix([sum(x * y for x, y in zip(row, c, strict=True) if x and y) for c in other.T.rows] for row in self.rows)
 
     def positive(self, semidefinite=False):
-        """Returns True if M = M' is positive (semi)definite: the pivots of Bareiss's elimination are its leading minors."""
+        """Returns True if M = M' is positive (semi)definite: the pivots of Bareiss elimination are the leading minors of M."""
         over, before = lcm(*(x.denominator for row in self.rows for x in row)), 1
         a = [[x.numerator * (over // x.denominator) for x in row] for row in self.rows]
         for k, top in enumerate(a):
@@ -44,22 +44,22 @@ class Matrix:
         return self.T.rows == self.rows
 
 def read(value):
-    """Returns the number in a string, such as "-3", "0.25" or "22/7", or a matrix of such strings."""
+    """Returns a string such as "-3", "0.25" or "22/7" as a number, or a nested list of such strings as a matrix."""
     if isinstance(value, list):
         return Matrix(map(read, row) for row in value)
-    return Fraction("".join(NUMBER.findall(value)))  # of "", which is refused, if it is no number
+    return Fraction("".join(NUMBER.findall(value)))  # a value that is not a number gives "", which Fraction rejects
 
 def diagonal(entries):
-    """Returns a diagonal matrix."""
+    """Returns the diagonal matrix with these entries."""
     return Matrix([x * (i == j) for j in range(len(entries))] for i, x in enumerate(entries))
 
 class ExactLoop:
-    """The loop u = K y of a plant p: S = [A; C] and W = [Bw; Dw] of the loop, E = [I; 0], and det = det(I - K Dyu)."""
+    """Loop u = K y of a plant p, with S = [A; C] and W = [Bw; Dw] of the loop, E = [I; 0] and det = det(I - K Dyu)."""
 
     def __init__(self, p, K):
         self.p, self.K, m, self.I, self.det = p, K, len(K.rows), diagonal([1] * len(p["A"].rows)), Fraction(1)
         a = [x + y for x, y in zip((diagonal([1] * m) + K @ p["Dyu"] * -1).rows, K.rows, strict=True)]
-        for k in range(m):  # Gauss's elimination
+        for k in range(m):  # Gaussian elimination
             i = next((i for i in range(k, m) if a[i][k]), k)
             self.det *= a[i][k] * (-1) ** (i != k)
             a[i], a[k] = a[k], [Fraction(x) / a[i][k] for x in a[i]]
@@ -68,11 +68,11 @@ class ExactLoop:
         self.S, self.W = (p["A"] | p["C"]) + into @ p["Cy"], (p["Bw"] | p["Dw"]) + into @ p["Dyw"]
 
     def moved(self, S, X, E):
-        """Returns S X E' + E X S', or S X S' - E X E' of a sampled loop."""
+        """Returns S X E' + E X S', or S X S' - E X E' if the plant is sampled."""
         return S @ X @ S.T + E @ X @ E.T * -1 if self.p["sampled"] else S @ X @ E.T + E @ X @ S.T
 
     def decay(self, X, rate=None):
-        """Poles have real parts below -rate (stable: 0), sampled |z| < rate (stable: 1): A X + X A' + 2 rate X < 0 < X."""
+        """Returns True if all poles have Re s < -rate (sampled: |z| < rate): A X + X A' + 2 rate X < 0 < X. Default: stable."""
         A, rate = self.E.T @ self.S, Fraction(self.p["sampled"]) if rate is None else rate
         A = A * (1 / rate) if self.p["sampled"] else A + self.I * rate
         return rate >= 0 and X.positive() and (self.moved(A, X, self.I) * -1).positive()
@@ -80,20 +80,20 @@ class ExactLoop:
     stability = decay
 
     def norm(self, X, bound):
-        """The loop is stable with an H-infinity norm below the bound: the bounded real lemma, X > 0."""
+        """Returns True if X > 0 and the bounded real lemma prove that the loop is stable with an H-infinity norm < bound."""
         outputs = diagonal([0] * len(X.rows) + [1] * len(self.p["C"].rows))
         F = self.moved(self.S, X, self.E) + self.W @ self.W.T * (1 / bound**2) + outputs * -1
         return bound > 0 and X.positive() and (F * -1).positive()
 
     def energy_to_peak(self, X, bound):
-        """The loop is stable, and |z| <= bound for each w of energy 1: A X + X A' + Bw Bw' < 0 < X, C X C' <= bound^2 I."""
+        """Returns True if |z| <= bound for every w of energy 1: A X + X A' + Bw Bw' < 0 < X, C X C' <= bound^2 I."""
         A, Bw, C = self.E.T @ self.S, self.E.T @ self.W, Matrix(self.S.rows[len(X.rows) :])
         lasting = (self.moved(A, X, self.I) + Bw @ Bw.T) * -1
         below = diagonal([bound**2] * len(C.rows)) + C @ X @ C.T * -1
         return bound >= 0 and self.W.square == Bw.square and X.positive() and lasting.positive() and below.positive(True)
 
     def lower_bound(self, bound, W1, W2, V12):
-        """No controller from y has a norm below the bound: dual solutions Z = W W' of the inequalities of X and of X^-1."""
+        """Returns True if W1 W1' and W2 W2' (dual solutions for X and X^-1) prove that no controller has a norm < bound."""
         sides, f = [], -sum(V12.rows[i][i] for i in range(len(V12.rows)))
         for W, turned, names in ((W1, False, "A B Bw C D Dw"), (W2, True, "A Cy C Bw Dyw Dw")):
             A, B, Bw, C, D, Dw = (self.p[name].T if turned else self.p[name] for name in names.split())
@@ -107,7 +107,7 @@ class ExactLoop:
         return bound > 0 and V.positive(True) and (a <= 0 < t1 or (f > 0 and a * b <= f * f))
 
     def invariant_point(self, bound, frequency, r):
-        """At a point s of the axis r* [A - s I, B; C, D] = 0 with r = [q; p]: whatever u is, p* z = r* [Bw; Dw] w."""
+        """Returns True if r* [A - s I, B; C, D] = 0, r = [q; p], s on the axis: for any u, p* z = r* [Bw; Dw] w."""
         p, t, q = self.p, frequency, r @ self.E
         s, turn = ((1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)) if p["sampled"] else (0, t)
         left = r @ (p["A"] | p["C"]) + Matrix([[-s, -turn], [turn, -s]]) @ q
@@ -115,14 +115,14 @@ class ExactLoop:
         return free and bound > 0 and 0 < (r.square - q.square) * bound**2 <= (r @ (p["Bw"] | p["Dw"])).square
 
     def box(self, of, low, high, **claim):
-        """A claim holds if each measurement, then each input, has a factor from low to high: at all corners, with one X."""
+        """Returns True if one X proves a claim at all corners: factors low to high on each measurement, then each input."""
         q, factors = len(self.p["Cy"].rows), product(*({*ends} for ends in zip(*(low | high).rows, strict=True)))
         loops = [ExactLoop(self.p, diagonal(f[q:]) @ self.K @ diagonal(f[:q])) for f in factors]
         kept = of in KINDS[:3] and len({loop.det > 0 for loop in loops}) == 1
         return kept and all(getattr(loop, of)(**claim) for loop in loops)
 
 def check(text):
-    """Returns the exit code and a line about the certificate in a text."""
+    """Returns the exit code, and a line of text about the certificate."""
     try:
         data, loops, results = json.loads(text), {}, []
         for name, p in data["plants"].items():
@@ -132,7 +132,7 @@ def check(text):
             if shapes != [(size[a], size[b]) for a, b in (*SHAPES.values(), "uy")] or not min(size.values()):
                 raise ValueError("a matrix does not fit the names of its signals")
             loops[name] = ExactLoop(plant | {"sampled": p["sample_period"] is not None}, K)
-        for claim in data["claims"] or [{}]:  # a file without a claim is refused
+        for claim in data["claims"] or [{}]:  # a file without claims is rejected
             kind, loop, proof = claim.pop("kind"), loops[claim.pop("plant")], claim.pop("proof")
             if kind not in KINDS or (data["format"], proof) != ("LMI certificate 1", "exact"):
                 raise ValueError("a claim has no exact proof, or is not of LMI certificate 1")

@@ -1,6 +1,7 @@
-"""Upper bounds as claims of LMI certificates, each with an X that proves it in rational arithmetic, as short as possible.
+"""Upper bounds as claims of LMI certificates, each with an X that proves the bound in rational arithmetic.
 
-Floats propose X. It is rounded to few bits, and `check_certificate.py` decides: each claim here is one that the checker proves.
+X is computed in floats and rounded to as few bits as the proof allows, which keeps the files short. Then `check_certificate.py`
+checks the claim. A claim is returned only if this check proves it.
 """
 
 from collections.abc import Iterator
@@ -25,20 +26,20 @@ from synth.plant.generalized import Plant
 
 Claim = dict[str, Any]
 
-NOISE = (0.3, 1e-1, 1e-3)  # of `bounding_x`, as a share of the bound's distance from the norm
-EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # likewise, on every state
-ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of a bound from the norm, if none is given
-SLOWER = (1e-3, 1e-2, 0.1)  # relative distance of a rate from the decay of the slowest pole, if none is given
+NOISE = (0.3, 1e-1, 1e-3)  # noise for `bounding_x`, relative to the distance of the bound from the norm
+EVERYWHERE = (1e-3, 1e-6, 1e-9, 1e-12)  # noise for `bounding_x` on every state
+ABOVE = (1e-6, 1e-4, 1e-2, 0.1)  # relative distances of the bound from the norm, tried in this order if no bound is given
+SLOWER = (1e-3, 1e-2, 0.1)  # relative distances of the rate from the decay of the slowest pole, tried if no rate is given
 
 
 def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = None, known: Array | None = None) -> Claim | None:
-    """Returns the claim that a loop is stable with a norm below a bound; None if it is not proved.
+    """Returns the claim that a loop is stable with a norm below a bound; None if the claim is not proved.
 
     Args:
-        loop: the loop.
-        dt: seconds between samples; None for a continuous loop.
-        bound: the bound; just above the norm if it is not given.
-        known: an X that proves the bound, if one is known.
+        loop: closed loop in rational arithmetic.
+        dt: sample period [s]; None for a continuous loop.
+        bound: bound on the norm. Default: a value just above the norm.
+        known: an X that proves the bound, if one is known, shape (n, n).
     """
     plain = floats(loop, dt)
     if not stability(plain.A, dt).stable:
@@ -57,7 +58,7 @@ def norm_claim(loop: ExactLoop, dt: float | None = None, bound: float | None = N
 
 
 def _bounding(loop: Plant, level: float, norm: Norm, known: Array | None) -> Iterator[Array]:
-    """Yields matrices that may prove a bound on the norm of a loop."""
+    """Yields matrices X that may prove the bound `level` on the norm of a loop."""
     turned = norm.peak_frequency * (loop.dt or 0.0) > np.pi / 2
     image = FEATURES.load("discrete plants").continuous_loop(loop, turned=turned)
     margin = min(level / norm.value - 1, 1.0) if norm.value else 1.0
@@ -73,12 +74,12 @@ def _bounding(loop: Plant, level: float, norm: Norm, known: Array | None) -> Ite
 
 
 def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = None) -> Claim | None:
-    """Returns the claim that all poles of a loop decay faster than a rate; None if it is not proved.
+    """Returns the claim that all poles of a loop decay faster than a rate; None if the claim is not proved.
 
     Args:
-        loop: the loop.
-        dt: seconds between samples; None for a continuous loop.
-        rate: rate of decay [1/s], or largest |z|; near the slowest pole if it is not given.
+        loop: closed loop in rational arithmetic.
+        dt: sample period [s]; None for a continuous loop.
+        rate: rate of decay [1/s]; for a discrete loop, the largest |z|. Default: a value close to that of the slowest pole.
     """
     plain = floats(loop, dt)
     growth = float(stability(plain.A, dt).growth.max())
@@ -102,14 +103,14 @@ def decay_claim(loop: ExactLoop, dt: float | None = None, rate: float | None = N
 
 
 def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
-    """Returns the claim that a disturbance of energy 1 keeps the length of z within a bound; None if it is not proved.
+    """Returns the claim that |z| stays within a bound for every w of energy 1; None if the claim is not proved.
 
     Args:
-        loop: the loop, without feedthrough from w to z.
-        bound: the bound.
-        X: solution of the Lyapunov inequality that proves the bound.
+        loop: closed loop in rational arithmetic, without feedthrough from w to z.
+        bound: bound on |z|.
+        X: solution of the Lyapunov inequality that proves the bound, shape (n, n).
     """
-    level = decimal(np.nextafter(bound, np.inf))  # at least the bound
+    level = decimal(np.nextafter(bound, np.inf))  # rounded up, so not below `bound`
     for short in shortened(X):
         if definiteness(short).proved and loop.energy_to_peak(exact(short), level):
             return {"kind": "energy_to_peak", "bound": rational(level), "X": rows(short)}
@@ -117,12 +118,14 @@ def peak_claim(loop: ExactLoop, bound: float, X: Array) -> Claim | None:
 
 
 def box_claims(loop: ExactLoop, proof: BoxProof, rate: float | None = None) -> list[Claim] | None:
-    """Returns a claim for each part of a box of relative errors, about a norm or a decay; None if one is not proved.
+    """Returns one claim for each part of a box of gain errors; None if a claim is not proved.
+
+    All claims are about the norm, or all are about the decay.
 
     Args:
-        loop: the loop without errors.
-        proof: the box with its parts, each with an X.
-        rate: rate of decay that the parts prove [1/s]; None if they prove the bound of the norm.
+        loop: closed loop without gain errors, in rational arithmetic.
+        proof: box of gain errors, split into parts, with an X for each part.
+        rate: rate of decay that the parts prove [1/s]; None if the parts prove the bound on the norm.
     """
     what = {"of": "norm", "bound": decimal(proof.bound)} if rate is None else {"of": "decay", "rate": decimal(rate)}
     claims = list[Claim]()

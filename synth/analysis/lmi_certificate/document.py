@@ -1,9 +1,12 @@
-"""LMI certificates of any plant: the plant, the gain and their claims as JSON.
+"""LMI certificates of any plant: the plant, the gain and the claims, as JSON.
 
-A law with states, x_c' = A x_c + B y, u = C x_c + D y, is the gain [D, C; B, A] of the plant with its states: x_c' = v, x_c is
-measured. A discrete law of a continuous plant is judged by its counterpart of Tustin's method, the same gain of another plant.
-With a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v, the transfer from v to x_c is (a - s) / (a + s), which is Tustin's 1 / z.
-So the file contains the numbers of the law itself in either case.
+A control law with states, x_c' = A x_c + B y, u = C x_c + D y, is written as the static gain [D, C; B, A] of a larger plant.
+This plant has the additional states x_c' = v with the inputs v, and it measures x_c.
+
+For a discrete law of a continuous plant, the claims concern its continuous counterpart by Tustin's method. This counterpart has
+the same gain, but another plant: with a = 2 / T, xi' = -a xi + v and x_c = 2 a xi - v. The transfer function from v to x_c is
+then (a - s) / (a + s), which Tustin's method substitutes for 1 / z. In both cases, the file thus contains the matrices of the
+law itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,15 +30,15 @@ FORMAT = "LMI certificate 1"
 TWICE = "computed twice"
 MULTIPLIERS = "its proof is not a common X but multipliers that depend on frequency, checked in floating point"
 LAW_STATE = "controller_state_"
-WEAKER = 1e-7  # relative: a lower bound that is weaker than the claimed one by more is listed
-WORK = 10_000  # cubes of states and outputs of the inequalities that are checked in a second, at least
+WEAKER = 1e-7  # relative difference above which a lower bound weaker than the claimed one is listed as not exact
+WORK = 10_000  # work that a slow computer checks in 1 s: sum of the cubes of the numbers of states and outputs
 
 Signal = tuple[str, str]  # name and unit
-Names = Mapping[str, Sequence[Signal]]  # signals by `SIGNALS`
+Names = Mapping[str, Sequence[Signal]]  # signals by the group names of `SIGNALS`
 
 
 def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
-    """Returns the plant with the states of a law, and the law as a gain on its measurements."""
+    """Returns the plant with the states of the law, and the law as a static gain on the measurements of this plant."""
     n, (q, m), k = len(plant.A), plant.Dyu.shape, law.states
     larger, gain = plant.with_states(k), law_gain(law)
     if not k or law.sample_period is None or plant.dt is not None:
@@ -47,13 +50,13 @@ def with_law(plant: Plant, law: LinearLaw) -> tuple[Plant, Array]:
 
 
 def plain_names(plant: Plant) -> Names:
-    """Returns x1, x2, ... for signals without names."""
+    """Returns the names x1, x2, ... for the states of a plant, and u1, w1, z1, y1, ... for its other signals."""
     counts = dict(zip("xuwzy", (len(plant.A), plant.B.shape[1], plant.Bw.shape[1], len(plant.C), len(plant.Cy)), strict=True))
     return {key: [(f"{letter}{i + 1}", "1") for i in range(counts[letter])] for letter, key in SIGNALS.items()}
 
 
 def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
-    """Returns signals as JSON; a name that occurs again has a number."""
+    """Returns signals as JSON. If a name occurs several times, the later ones receive a number."""
     names = [name for name, _ in signals]
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [{"name": f"{name} ({k + 1})" if k else name, "unit": unit} for (name, unit), k in zip(signals, before, strict=True)]
@@ -61,14 +64,14 @@ def _distinct(signals: Sequence[Signal]) -> list[dict[str, str]]:
 
 @dataclass
 class Document:
-    """A certificate under construction: claims about plants under one gain.
+    """LMI certificate under construction: claims about one or more plants with the same gain.
 
     Attributes:
-        gain: the gain from measurements, with the states of the law, shape (m + k, q + k).
+        gain: gain from the measurements, including the states of the law, shape (m + k, q + k).
         law_states: number k of states of the law.
-        plants: plants by name, as JSON.
+        plants: plants as JSON, by name.
         claims: proved claims.
-        not_exact: claims that the file cannot prove, each with the reason.
+        not_exact: claims that the file does not prove, each with the reason.
     """
 
     gain: Array
@@ -78,12 +81,12 @@ class Document:
     not_exact: list[dict[str, str]] = field(default_factory=list)
 
     def loop(self, name: str, plant: Plant, names: Names) -> ExactLoop:
-        """Returns the loop of the gain with a plant, which the file then contains.
+        """Adds a plant to the file, and returns the closed loop of the gain with this plant.
 
         Args:
             name: name of the plant in the file.
             plant: plant with the states of the law.
-            names: names and units of its signals, without those of the law.
+            names: names and units of the plant's signals, without the signals of the law.
         """
         law = [(f"{LAW_STATE}{i + 1}", "1") for i in range(self.law_states)]
         more = {"states": law, "measurements": law, "inputs": [(f"next_{one}", unit) for one, unit in law]}
@@ -93,12 +96,12 @@ class Document:
         return exact_loop(plant, self.gain)
 
     def add(self, plant: str, what: str, claims: Claim | Sequence[Claim] | str | None) -> None:
-        """Adds claims about a plant, or the reason why there is no proof.
+        """Adds claims about a plant, or the reason why they are not proved.
 
         Args:
             plant: name of the plant.
-            what: the claim in words.
-            claims: the claims; a text or None if there are none.
+            what: description of the claim.
+            claims: one claim or several; a text with the reason, or None, if there is no proof.
         """
         if claims is None or isinstance(claims, str):
             self.leave_out(what, claims or "rounding leaves no proof", TWICE if claims == MULTIPLIERS else "none")
@@ -107,18 +110,19 @@ class Document:
             self.claims.append({"kind": claim["kind"], "plant": plant, "proof": "exact", **claim})
 
     def leave_out(self, what: str, reason: str, proof: str = TWICE) -> None:
-        """Lists a claim that the file does not prove."""
+        """Adds a claim to the list of claims that the file does not prove."""
         self.not_exact.append({"claim": what, "proof": proof, "reason": reason})
 
     def add_certificate(self, name: str, plant: Plant, loop: ExactLoop, certificate: Certificate, of: Plant | None) -> None:
-        """Adds the claims of a certificate: the bound of the norm, the decay and the lower bound.
+        """Adds the claims of a certificate: the bound on the norm, the decay and the lower bound.
 
         Args:
             name: name of the plant.
             plant: plant with the states of the law.
-            loop: loop of the gain with this plant.
-            certificate: the certificate.
-            of: plant of the lower bound, which has the first states; None to leave that bound out.
+            loop: closed loop of the gain with this plant.
+            certificate: certificate of the closed loop.
+            of: plant to which the lower bound applies. Its states are the first states of `plant`. None if the file cannot
+                contain a proof of the lower bound, because the plant of the bound has other states.
         """
         proof, below = certificate.proof, certificate.below
         if certificate.stable:
@@ -133,7 +137,12 @@ class Document:
                 self.leave_out(f"lower bound {digits(below.gamma)}", f"rational numbers prove {digits(proved)}", "none")
 
     def record(self, controller: str, about: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the certificate as JSON."""
+        """Returns the certificate as JSON.
+
+        Args:
+            controller: name of the controller.
+            about: further entries of the file.
+        """
         ends = [(claim.get("low", [[]]), claim.get("high", [[]])) for claim in self.claims]
         corners = [2 ** sum(a != b for a, b in zip(*low, *high, strict=True)) for low, high in ends]
         sizes = [sum(len(self.plants[claim["plant"]][key]) ** 3 for key in ("states", "outputs")) for claim in self.claims]
@@ -151,13 +160,13 @@ class Document:
 
 
 def plant_certificate(name: str, plant: Plant, law: LinearLaw, certificate: Certificate) -> dict[str, Any]:
-    """Returns the LMI certificate of a law on the measurements of any plant.
+    """Returns the LMI certificate of a control law on the measurements of any plant.
 
     Args:
         name: name of the controller.
-        plant: plant with measurements, continuous or discrete.
-        law: the law.
-        certificate: certificate of their loop, such as `certify_law` returns.
+        plant: continuous or discrete plant with measurements.
+        law: control law.
+        certificate: certificate of the closed loop, such as `certify_law` returns.
     """
     larger, gain = with_law(plant, law)
     document = Document(gain, law.states)

@@ -1,4 +1,4 @@
-"""Proofs of lower bounds in rational numbers, from those of `analysis/lower_bound.py` and `analysis/invariant_point.py`."""
+"""Proofs of lower bounds in rational numbers, converted from `analysis/lower_bound.py` and `analysis/invariant_point.py`."""
 
 from collections.abc import Callable
 from fractions import Fraction
@@ -14,19 +14,20 @@ from synth.analysis.rigorous import floats, integers, product, zeros
 from synth.analysis.synthesis_inequality import SynthesisInequality, cross_gram
 from synth.plant.generalized import Plant
 
-SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))  # bits of a dual, and what V12 is shorter than the longest
-LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances of a bound from the claimed one
-ENOUGH = 1e-8  # relative: a bound this close to the claimed one needs no longer numbers
+# Trials: bits of a dual solution, and the relative reduction of V12 from its largest size
+SHORTER = ((24, 1e-6), (40, 1e-9), (53, 1e-9), (53, 1e-6), (53, 1e-3))
+LOWER = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # relative distances below the claimed bound, tried in this order
+ENOUGH = 1e-8  # relative distance from the claimed bound below which longer numbers are not tried
 IRRATIONAL = "its proof encloses stable zeros of the plant, which are irrational"
 
 
 def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
-    """Returns the claim of a lower bound, or the reason why certificates cannot hold it.
+    """Returns the claim of a lower bound, or the reason why a certificate cannot contain this claim.
 
     Args:
-        plant: plant of the bound. The loop has this plant, and states of a law behind those of the plant.
-        loop: the loop of a controller.
-        below: the bound, with its proof.
+        plant: plant of the bound. `loop` has the states of this plant, followed by the states of the law.
+        loop: closed loop with a controller, in rational arithmetic.
+        below: lower bound with its proof.
     """
     if below.limit_at is not None:
         return _invariant_point(plant, loop, below)
@@ -50,13 +51,13 @@ def lower_bound_claim(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict 
 
 
 def _largest(gamma: float, proves: Callable[[Fraction], bool]) -> Fraction:
-    """Returns the largest bound up to gamma that is proved, or nearly; 0 if none is proved."""
+    """Returns the largest proved level among gamma and some levels just below it; 0 if no level is proved."""
     levels = [decimal(gamma), *(decimal(rounded(gamma * (1 - less), 15)) for less in LOWER)]
     return next((level for level in levels if proves(level)), Fraction(0)) if proves(levels[-1]) else Fraction(0)
 
 
 def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict | str:
-    """Returns the claim of an invariant point."""
+    """Returns the claim of an invariant point, or the reason why it is not proved."""
     assert below.limit_at is not None, "it is given"
     n, sampled = len(plant.A), plant.dt is not None
     t = Fraction(float(below.limit_at if plant.dt is None else np.tan(below.limit_at * plant.dt / 2)))
@@ -79,7 +80,7 @@ def _invariant_point(plant: Plant, loop: ExactLoop, below: LowerBound) -> dict |
 def _duals(
     plant: Plant, state: DualCertificate, observer: DualCertificate | None, bits: int, shrink: float
 ) -> tuple[Array, Array, Array] | None:
-    """Returns W1, W2 and V12 of certificates in rational numbers, arrays of `Fraction`; None if they are not known."""
+    """Returns W1, W2 and V12 of the dual certificates as arrays of `Fraction`; None if they cannot be computed."""
     n, r = plant.Bw.shape
     one = SynthesisInequality.of(plant)
     first = _rational(one, state, bits)
@@ -106,7 +107,7 @@ def _duals(
 
 
 def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int) -> Array | None:
-    """Returns W of a dual solution W W', shape (n + d, k), with free numbers of a few bits."""
+    """Returns W of a dual solution W W', shape (n + d, k), as fractions; its free entries have at most `bits` bits."""
     factors = None if side.antistable is not None else dual_factors(side, certificate)
     if factors is None:
         return None
@@ -117,7 +118,7 @@ def _rational(side: SynthesisInequality, certificate: DualCertificate, bits: int
 
 
 def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
-    """Returns the weight of X of a dual solution in the coordinates of its inequality, rounded."""
+    """Returns the weight of X in a dual solution, in the coordinates of the inequality and rounded to floats."""
     n, at = len(plant.A), side.coordinates
     system, over = integers(plant.system_matrix[:, :n])
     S = _fractions(system[:, at], over)
@@ -128,10 +129,10 @@ def _weights(plant: Plant, side: SynthesisInequality, W: Array) -> Array:
 
 
 def _normal_rows(side: SynthesisInequality) -> Array:
-    """Returns J, which is the identity in the coordinates of an inequality."""
+    """Returns J, scaled so that it is the identity in the coordinates of the inequality."""
     return np.array([[Fraction(x, row[at]) for x in row] for row, at in zip(side.J, side.coordinates, strict=True)], dtype=object)
 
 
 def _fractions(whole: Array, over: int) -> Array:
-    """Returns integers over a denominator as an array of `Fraction`."""
+    """Returns integers divided by a denominator, as an array of `Fraction`."""
     return np.array([[Fraction(x, over) for x in row] for row in whole], dtype=object).reshape(whole.shape)

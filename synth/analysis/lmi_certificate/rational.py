@@ -1,4 +1,4 @@
-"""Numbers of LMI certificates: floats as rational numbers in strings, and matrices rounded to few bits."""
+"""Numbers of LMI certificates: floats as strings of rational numbers, and matrices rounded to few bits."""
 
 from collections.abc import Iterator, Sequence
 from decimal import ROUND_FLOOR, Context
@@ -10,29 +10,29 @@ from models.common.arrays import Array
 from synth.analysis.lmi_certificate.check_certificate import SHAPES, ExactLoop, Matrix
 from synth.plant.generalized import Plant
 
-LONG = 10**20  # a denominator that no short decimal fraction has
-BITS = (10, 14, 18, 24, 32, 44, 53)  # of an entry, relative to its diagonal
+LONG = 10**20  # denominators of short decimal fractions are smaller
+BITS = (10, 14, 18, 24, 32, 44, 53)  # numbers of bits of an entry, relative to the diagonal, tried in this order
 
 
 def rational(value: float | Fraction) -> str:
-    """Returns a number exactly: an integer, a decimal fraction of at most 17 digits, or p/q."""
+    """Returns the exact value of a number as text: an integer, a decimal fraction of at most 17 digits, or p/q."""
     exact = Fraction(value)
     short = repr(float(exact)) if 1 < exact.denominator < LONG else ""
     return short if short and "e" not in short and Fraction(short) == exact else str(exact)
 
 
 def rows(matrix: Array | Sequence[Sequence[Fraction]]) -> list[list[str]]:
-    """Returns a matrix of floats or rational numbers exactly."""
+    """Returns a matrix of floats or rational numbers as rows of exact texts."""
     return [[rational(entry) for entry in row] for row in matrix]
 
 
 def decimal(value: float) -> Fraction:
-    """Returns the decimal number that a float prints as."""
+    """Returns the decimal number that Python prints for a float."""
     return Fraction(repr(float(value)))
 
 
 def rounded(value: float, count: int, direction: str = ROUND_FLOOR) -> float:
-    """Returns a number rounded to significant digits, downwards or in another direction of `decimal`."""
+    """Returns a number rounded to `count` significant digits; down, or in the `direction` of the module `decimal`."""
     return float(Context(prec=count, rounding=direction).create_decimal(value))
 
 
@@ -51,14 +51,17 @@ def exact_loop(plant: Plant, K: Array) -> ExactLoop:
 
 
 def floats(loop: ExactLoop, dt: float | None) -> Plant:
-    """Returns a loop from w to z, each entry rounded once."""
+    """Returns the closed loop from w to z in floats, with each entry rounded once."""
     n = len(loop.I.rows)
     S, W = (np.array(M.rows, dtype=float) for M in (loop.S, loop.W))
     return Plant.without_inputs(S[:n], W[:n], S[n:], W[n:], dt=dt)
 
 
 def shortened(X: Array) -> Iterator[Array]:
-    """Yields a symmetric matrix of positive diagonal with more and more bits, at last with all."""
+    """Yields approximations of a symmetric matrix X with positive diagonal, each with more bits than the previous one.
+
+    The last matrix is X itself.
+    """
     size = 2.0 ** np.round(np.log2(np.diagonal(X)) / 2)
     for bits in BITS[:-1]:
         unit = np.outer(size, size) * 2.0**-bits

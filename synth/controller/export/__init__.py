@@ -1,1 +1,1 @@
-"""Controllers as C99 for an electronic control unit: what they compute, their source, and the folder that is handed over."""
+"""Export of controllers as C99 for an electronic control unit: the computation, its source code, and the exported folder."""

@@ -1,10 +1,16 @@
-"""The computation that is exported: a controller as its vehicle file runs it, and the same step by step in Python.
+"""The computation that is exported as code: a controller as its vehicle file implements it, and the same computation in Python.
 
-A sample goes so: an input that is not finite is replaced by its last finite value; readings are quantised; a linear law's forces
-are summed over readings, then states, in the order of the columns; forces are limited, then their changes, or they become
-coefficients of adjustable dampers; the states are summed likewise; and what was computed `delay` samples before goes out. A force
-or state that overflows becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the
-same bits.
+The computation in each sample has these steps:
+
+1. An input that is not finite is replaced by its last finite value.
+2. Measurements are quantised.
+3. The forces of a linear law are summed over the measurements, then over the states, in the order of the matrix columns.
+4. Forces are limited, then their changes. With semi-active dampers, the forces are converted to damping coefficients instead.
+5. The next states are summed in the same way.
+6. The outputs that were computed `delay` samples before are returned.
+
+A force or a state that overflows becomes 0. C and Python do the same operations in the same order and number format. Their
+results are therefore equal bit for bit.
 """
 
 import re
@@ -26,42 +32,43 @@ from synth.controller.controller import AnyController
 from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, rounded_shift
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
-STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
-LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}  # from here on a number is no value
-NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
-GIVEN_RANGE = "given"  # where a range is from, if no peak proves it
-SPARE = 1.1  # times a proved peak, for what sampling and rounding add to it
+STILL = {"double": 1e-150, "float": 1e-30}  # velocity that replaces 0 in divisions [m/s]
+LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}  # values from here on are invalid
+NEAREST = {"double": 2.0**52, "float": 2.0**23}  # numbers from here on have no fractional part
+GIVEN_RANGE = "given"  # source of a range that the user gave, without a proved peak
+SPARE = 1.1  # factor on a proved peak, to allow for the effects of sampling and rounding
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
-)  # that names may be
+)  # C keywords that a controller's name could equal
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedLaw:
-    """Controller as a computer of a car runs it.
+    """Controller in the form in which the computer of a car runs it.
 
     Attributes:
         name: prefix of all its names in C.
         controller: name of the controller in the vehicle file.
-        numbers: "double", "float", "int32" or "int16".
-        period: seconds between samples; None if it needs none, as it has no states.
-        inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
+        numbers: number format: "double", "float", "int32" or "int16".
+        period: sample period [s]; None if the law has no states and needs no sample period.
+        inputs: names of the q measurements, followed by the velocities of suspensions with a semi-active damper.
         units: units of the inputs.
-        meanings: a line on each input.
-        outputs: names of the m forces, or of the dampers' coefficients.
+        meanings: one-line description of each input.
+        outputs: names of the m forces, or of the m damping coefficients.
         output_units: units of the outputs.
-        law: the sampled linear law with k states; zero for a semi-active law.
-        resolution: step of each reading, shape (q,); 0 for one that is not quantised.
-        limit: largest force [N], or None.
-        change: largest change of a force from sample to sample [N], or None.
-        delay: samples from a reading to its output.
-        anti_windup: shape (k, m), or None.
-        dampers: nominal, least and largest coefficient of each adjustable damper [N s/m]; empty for force actuators.
-        semi_active: name of a semi-active law, or empty.
-        coefficients: numbers of a semi-active law; None for a linear one.
-        modes: number of readings of the body's modes before those of the suspensions.
-        ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
-        range_sources: source of each range, in words.
+        law: sampled linear law with k states; zero for a semi-active law.
+        resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
+        limit: largest force [N]; None without limit.
+        change: largest change of a force per sample [N]; None without limit.
+        delay: delay from a measurement to its output [samples].
+        anti_windup: anti-windup gain, shape (k, m); None without anti-windup.
+        dampers: nominal coefficient of each semi-active damper, and the smallest and largest difference from it [N s/m]; empty
+            for force actuators.
+        semi_active: name of the semi-active law; empty for a linear law.
+        coefficients: numbers of the semi-active law; None for a linear law.
+        modes: number of measurements of body modes, which come before those of the suspensions.
+        ranges: largest magnitude of each measurement, shape (q,), for fixed point; None for floating point.
+        range_sources: text about the source of each range.
     """
 
     name: str
@@ -88,14 +95,14 @@ class ExportedLaw:
 
     @cached_property
     def fixed(self) -> FixedPoint | None:
-        """Its units and coefficients in fixed point, or None in floating point."""
+        """Units and integer coefficients for fixed point; None for floating point."""
         if self.ranges is None:
             return None
         return fixed_point(self.numbers, self.law, self.anti_windup, self.limit, self.change, self.resolution, self.ranges)
 
     @cached_property
     def tables(self) -> dict[str, Array]:
-        """Tables A, B, C, D and anti-windup L of the code; in fixed point they are integers."""
+        """Tables A, B, C, D and anti-windup L of the code, by name; integers for fixed point."""
         if (of := self.fixed) is None:
             L = np.zeros((self.states, 0)) if self.anti_windup is None else self.anti_windup
             return {name: getattr(self.law, name) for name in "ABCD"} | {"L": L}
@@ -105,7 +112,7 @@ class ExportedLaw:
 
     @property
     def largest(self) -> dict[str, float] | None:
-        """Largest magnitude of each reading by name, in fixed point; else None."""
+        """Largest magnitude of each measurement, by name, for fixed point; None for floating point."""
         return None if self.ranges is None else dict(zip(self.inputs, self.ranges.tolist(), strict=True))
 
     @property
@@ -115,12 +122,12 @@ class ExportedLaw:
 
     @property
     def readings(self) -> int:
-        """Number q of readings, without the suspensions' velocities."""
+        """Number q of measurements, without the velocities of the suspensions."""
         return len(self.resolution)
 
 
 def c_name(name: str) -> str:
-    """Returns a controller's name as one of C."""
+    """Returns the name of a controller as a valid C name."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"law_{plain}" if plain[0].isdigit() or plain[0] == "_" or plain in KEYWORDS else plain
 
@@ -133,19 +140,20 @@ def exported_law(
     ranges: Mapping[str, float] | None = None,
     sources: Mapping[str, str] | None = None,
 ) -> ExportedLaw:
-    """Returns a controller as it is exported.
+    """Returns a controller in the form in which it is exported.
 
     Args:
-        vehicle: the vehicle, with its limits and implementation.
-        driver: a controller of it.
+        vehicle: vehicle with its limits and implementation.
+        driver: controller of this vehicle.
         numbers: number format, as in `ExportedLaw`.
-        name: prefix in C.
-        ranges: largest magnitude of each reading, by name, for fixed point; a reading with a proved peak may be left out.
-        sources: sources of ranges that were not given, by name.
+        name: prefix of the names in C.
+        ranges: largest magnitude of each measurement, by name, for fixed point. A measurement with a proved peak may be
+            omitted.
+        sources: sources of the ranges in `ranges` that the user did not give, by name.
 
     Raises:
-        InputError: the controller is a law in Python or an FMU, has states or a rate limit but no sample period, or sets dampers
-            with curves.
+        InputError: the controller is a Python law or an FMU, has states or a rate limit but no sample period, or controls
+            dampers that cannot be exported.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if driver.user_code is True:
@@ -204,14 +212,15 @@ def exported_law(
     law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
     L = anti_windup_gain(law) if law.anti_windup is not None and k else None
     made = ExportedLaw(**common, law=law, anti_windup=L)
-    made.fixed  # noqa: B018 - what has no fixed point is said here
+    made.fixed  # noqa: B018 - raises the errors of fixed point here
     return made
 
 
 def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
-    """Returns the range of every reading whose peak is proved by a goal, and in words where it is from, by name.
+    """Returns the range of every measurement whose peak is proved by a goal, and a text about its source, by name.
 
-    The peak is that of the ideal loop: `SPARE` is for what sampling and rounding add. At the range a reading is clipped.
+    The peak is that of the ideal loop. The factor `SPARE` allows for the effects of sampling and rounding. A measurement is
+    clipped at its range.
     """
     found = dict[str, tuple[float, str]]()
     for name in driver.measured:
@@ -227,10 +236,10 @@ def proved_ranges(driver: AnyController) -> dict[str, tuple[float, str]]:
 def _ranges(
     vehicle: Vehicle, driver: AnyController, given: Mapping[str, float], sources: Mapping[str, str]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Returns the range of each reading of a controller in fixed point, shape (q,), and where each is from.
+    """Returns the range of each measurement of a controller for fixed point, shape (q,), and texts about the sources.
 
     Raises:
-        InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
+        InputError: a measurement has no range, a range does not belong to a measurement, or the controller sets dampers.
     """
     if vehicle.dampers:
         raise InputError("integer code needs force actuators, but this vehicle has semi-active dampers; give double or float")
@@ -247,10 +256,10 @@ def _ranges(
 
 @dataclass
 class PythonStep:
-    """The exported computation in Python, with the bits that C has.
+    """Exported computation in Python, whose results equal those of the C code bit for bit.
 
     Attributes:
-        law: the exported law.
+        law: exported law.
     """
 
     law: ExportedLaw
@@ -259,7 +268,7 @@ class PythonStep:
 
     def __post_init__(self) -> None:
         law, fixed = self.law, self.law.fixed
-        # Python's own numbers have the bits of float64, at a fifth of the time.
+        # Python's own numbers have the same bits as float64, and are five times as fast.
         self._number = NUMBERS[law.numbers] if law.numbers == "float" else float if fixed is None else int
         self._tables = {name: [self._all(row) for row in table.tolist()] for name, table in law.tables.items()}
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
@@ -278,13 +287,13 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample; in fixed point both are integers."""
+        """Returns the outputs for the inputs of a sample; for fixed point, both are integers."""
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             self._line.append(self._computed(self._read(seen)))
         return self._line.pop(0)
 
     def _read(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the inputs: clipped in fixed point, else each one's last finite value."""
+        """Returns the inputs: clipped for fixed point; otherwise, an invalid input is replaced by its last finite value."""
         values = self._all(seen)
         if (fixed := self.law.fixed) is not None:
             return [self._clipped(value, -fixed.largest, fixed.largest) for value in values]
@@ -292,7 +301,7 @@ class PythonStep:
         return self._valid
 
     def _settled(self, total: Any, row: int) -> Any:
-        """Returns what is kept of a sum of a row: scaled and rounded in fixed point, else 0 if it overflows."""
+        """Returns the sum of a row as it is stored: for fixed point scaled and rounded, else 0 if it overflows."""
         if (fixed := self.law.fixed) is not None:
             return rounded_shift(total, int(fixed.shifts[row]), fixed.largest)
         return self._valid_or(total, self._number(0))
@@ -323,7 +332,7 @@ class PythonStep:
         return out
 
     def _valid_or(self, value: Any, otherwise: Any) -> Any:
-        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # false for NaN
+        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # the condition is also false for NaN
 
     def _sum(self, *parts: tuple[list[Any], list[Any]]) -> Any:
         total = self._number(0)
@@ -358,7 +367,7 @@ class PythonStep:
 
 
 def random_inputs(law: ExportedLaw, count: int, seed: int) -> Iterator[list[float]]:
-    """Yields inputs of the size that they have on roads, of both signs, and now and then zero, `count` samples of them."""
+    """Yields `count` samples of random inputs with sizes as on roads, both signs, and occasional zeros."""
     sizes = {"m": 0.05, "m/s": 0.5, "m/s²": 3.0, "m/s2": 3.0, "N": 1000.0, "rad": 0.05, "rad/s": 0.3, "rad/s²": 3.0}
     rng, scale = np.random.default_rng(seed), np.array([sizes.get(unit, 1.0) for unit in law.units])
     for row in rng.standard_normal((count, len(scale))) * scale:

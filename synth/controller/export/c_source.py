@@ -1,6 +1,6 @@
-"""C99 of an exported law: no heap, no library, a fixed order of summation, every name with the law's prefix.
+"""C99 source of an exported law. The source uses no heap and no library, sums in a fixed order, and prefixes every name.
 
-In fixed point there are integers alone: sums are in 64 bits, and every result is clipped instead of overflowing.
+For fixed point, the source uses integers only. Sums have 64 bits, and every result is clipped instead of overflowing.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,7 +13,8 @@ from synth.controller.export.c_law import LARGEST, NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
-# By the name of a law: its coefficient `c` from velocities of body and wheel, their difference `v`, and a third reading.
+# Source by name of the law: coefficient `c` from the velocities of body and wheel, their difference `v`, and a third
+# measurement
 SEMI_ACTIVE = {
     "skyhook": "c = ((body * v) > ZERO) ? C_MAX : C_MIN;",
     "skyhook_linear": "c = ((body * v) > ZERO) ? (-(-SKY * body) / over) : C_MIN;",
@@ -60,12 +61,12 @@ CLIP_FUNCTION = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER
     }
     else
     {
-        /* as it is */
+        /* the value is unchanged */
     }
     return result;
 }
 """
-QUANTISE_FUNCTION = """/* The nearest step, of two the even one; what is too large for a fraction is a step already. */
+QUANTISE_FUNCTION = """/* Rounds to the nearest step, ties to even. A value too large to have a fraction is a step already. */
 static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
 {
     NUMBER count = value / step;
@@ -82,12 +83,12 @@ static NUMBER PREFIX_quantised(NUMBER value, NUMBER step)
     }
     else
     {
-        /* as it is */
+        /* the count is unchanged */
     }
     return step * count;
 }
 """
-SUM = """/* Adds a row times a column, from the first entry to the last. */
+SUM = """/* Adds the products of a row and a column, from the first entry to the last. */
 static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, int count)
 {
     TOTAL total = start;
@@ -100,7 +101,7 @@ static TOTAL PREFIX_sum(TOTAL start, const NUMBER *row, const NUMBER *column, in
     return total;
 }
 """
-ROUND_FUNCTION = """/* A sum over 2^shift, to the nearest, of two the one away from 0; clipped to +-most. */
+ROUND_FUNCTION = """/* Divides a sum by 2^shift, rounds to the nearest integer (ties away from 0), and clips to +-most. */
 static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
 {
     const int64_t half = (shift > 0) ? ((int64_t)1 << (shift - 1)) : 0;
@@ -116,7 +117,7 @@ static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
     }
     else
     {
-        /* as it is */
+        /* the result is unchanged */
     }
     return (NUMBER)result;
 }
@@ -124,15 +125,15 @@ static NUMBER PREFIX_rounded(int64_t total, int shift, int64_t most)
 
 
 def literal(numbers: str, value: float) -> str:
-    """Returns the shortest literal of C that is read as this number, in "double" or "float"."""
+    """Returns the shortest C literal that is read as exactly this number, for "double" or "float"."""
     own = (np.float32 if numbers == "float" else np.float64)(value)
     if not np.isfinite(own):
-        return "0.0"  # no table holds one
+        return "0.0"  # does not occur: no table contains such a value
     return np.format_float_scientific(own, unique=True, trim="0") + ("f" if numbers == "float" else "")
 
 
 def _loop(count: int, *lines: str) -> str:
-    """Returns a loop over i of some lines."""
+    """Returns a C loop over i with the given lines as its body."""
     return f"for (i = 0; i < {count}; i++)\n{{\n" + indent("\n".join(lines), "    ") + "\n}"
 
 
@@ -141,10 +142,15 @@ def _function(head: str, lines: Sequence[str]) -> str:
 
 
 class CSource:
-    """Texts of the header, the source and the tables of a law."""
+    """C texts of a law: header, source and tables."""
 
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
-        """Prepares a law, with the SHA-256 of its certificate's file."""
+        """Prepares the texts of a law.
+
+        Args:
+            law: exported law.
+            certificate: SHA-256 of the certificate file.
+        """
         self.law, self.certificate, self.p, self.fixed = law, certificate, law.name, law.fixed
         self.ctype, self.total, self.in_units, self.out_units = law.numbers, law.numbers, law.units, law.output_units
         if (of := law.fixed) is not None:
@@ -157,26 +163,26 @@ class CSource:
 
     @property
     def files(self) -> dict[str, str]:
-        """Header, source and tables, by the names of their files."""
+        """Texts of header, source and tables, by file name."""
         return {f"{self.p}.h": self.header(), f"{self.p}.c": self.source(), f"{self.p}_data.h": self.data()}
 
     def number(self, value: float) -> str:
-        """Returns a literal of the law's numbers."""
+        """Returns a number as a C literal in the number format of the law."""
         return literal(self.law.numbers, value) if self.fixed is None else str(int(value))
 
     def header(self) -> str:
-        """Returns NAME.h."""
+        """Returns the text of NAME.h."""
         law, p, number = self.law, self.p, self.ctype
         guard = f"{p.upper()}_H"
         ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, self.in_units, strict=True))
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
-        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, undelayed */\n" * (law.change is not None)
+        state += f"    {number} given[{len(law.outputs)}]; /* the last forces, without delay */\n" * (law.change is not None)
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
         if self.fixed is None:
             state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
             state += "    int faults; /* inputs, outputs and states of the last step that were not finite */\n"
-        state = state or "    int unused; /* the law keeps nothing; C99 has no empty struct */\n"
+        state = state or "    int unused; /* the law has no state; C99 has no empty struct */\n"
         include = "" if self.fixed is None else "#include <stdint.h>\n\n"
         if law.period is not None:
             include += f"#define {p.upper()}_SAMPLE_PERIOD {literal(law.numbers, law.period)} /* s */\n\n"
@@ -193,21 +199,21 @@ class CSource:
         return "{" + ", ".join(map(self.number, values)) + "}"
 
     def _table(self, name: str, matrix: Array) -> str:
-        """Returns a table, one row a line."""
+        """Returns a C table with one matrix row per line."""
         rows = ",\n    ".join(map(self._row, matrix))
         return f"static const {self.ctype} {self.p}_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
 
     def data(self) -> str:
-        """Returns NAME_data.h."""
+        """Returns the text of NAME_data.h."""
         law, p, guard = self.law, self.p, f"{self.p.upper()}_DATA_H"
         tables = {} if law.semi_active else law.tables
         text = "\n".join(self._table(name, one) for name, one in tables.items() if one.size)
         if law.dampers:
             dampers = self._table("dampers", np.array(law.dampers))
-            text += f"\n/* nominal, least and largest coefficient beyond it [N s/m] */\n{dampers}"
+            text += f"\n/* nominal coefficient; smallest and largest difference from it [N s/m] */\n{dampers}"
         if (of := self.fixed) is not None:
             row = self._row(of.shifts)
-            text += f"\n/* a row's sum is over 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
+            text += f"\n/* the sum of a row is divided by 2^shift */\nstatic const int {p}_shift[{len(of.shifts)}] = {row};\n"
         ends = () if of is None else (("limit", "forces", of.limit), ("change", "changes of the forces per sample", of.change))
         for name, what, most in ends:
             if most is not None:
@@ -219,7 +225,7 @@ class CSource:
         )
 
     def source(self) -> str:
-        """Returns NAME.c."""
+        """Returns the text of NAME.c."""
         law, floating = self.law, self.fixed is None
         parts = {
             VALID: floating,
@@ -293,7 +299,12 @@ class CSource:
         return _function(f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)", lines)
 
     def _sums(self, total: str, *products: tuple[str, str, int]) -> list[str]:
-        """Returns lines that sum rows i of tables, each times a vector of so many entries; none of an empty vector."""
+        """Returns lines of C that sum rows i of several tables, each multiplied by a vector.
+
+        Args:
+            total: name of the C variable for the sum.
+            products: name of a table, name of a vector and number of its entries, for each product. Empty vectors are omitted.
+        """
         start, lines = "0" if self.fixed is not None else self.zero, list[str]()
         for table, vector, count in products:
             if count:
@@ -379,13 +390,13 @@ class CSource:
         return blocks
 
     def main(self) -> str:
-        """Returns test/main.c, which holds the code against test/vectors.csv."""
+        """Returns the text of test/main.c, which compares the code with test/vectors.csv."""
         law, p = self.law, self.p
         read = {"float": "strtof(at, &at)", "double": "strtod(at, &at)"}.get(law.numbers, f"({self.ctype})strtol(at, &at, 10)")
         ins = "\n".join(f"        in.{name} = {read}; at++;" for name in law.inputs)
         outs = "\n".join(f"        differ += (out.{name} != {read}) ? 1L : 0L; at++;" for name in law.outputs)
         longest = 40 * (len(law.inputs) + len(law.outputs)) + 200
-        return f"""/* Runs vectors.csv through the code, back to back: every output must have the bits of the file. */
+        return f"""/* Back-to-back test with vectors.csv: every output must equal the file bit for bit. */
 #include <stdio.h>
 #include <stdlib.h>
 #include "../{p}.h"
@@ -422,7 +433,7 @@ int main(int argc, char **argv)
 """
 
     def cmake(self) -> str:
-        """Returns CMakeLists.txt: a library, and its test."""
+        """Returns the text of CMakeLists.txt, which builds a library and its test."""
         p = self.p
         return f"""cmake_minimum_required(VERSION 3.10)
 project({p} C)

@@ -1,6 +1,7 @@
-"""Exported code as a library of this machine: built by its C compiler, or by Zig's of the extra `[export]`, and called by sample.
+"""Exported code as a compiled library, called once per sample.
 
-A controller with exported code is the same to the analysis; the code gives its outputs in every run.
+The library is built by the C compiler of this machine, or by that of Zig from the extra `[export]`. For the analysis, a
+controller with exported code is the same as without. In simulations, the code computes its outputs.
 """
 
 import ctypes
@@ -24,11 +25,11 @@ from synth.controller.controller import AnyController
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, exported_law
 from synth.controller.export.c_source import FLAGS, CSource
 
-INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
+INTEGER = 64  # bytes in the state struct in addition to its numbers: integers and padding
 
 
 def own_compiler() -> str | None:
-    """Returns the path of the machine's own C compiler, or None without one."""
+    """Returns the path of the C compiler of this machine; None without a compiler."""
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
@@ -48,11 +49,11 @@ def compiler() -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class ExportedCode:
-    """The code of an exported folder.
+    """Code of an exported folder.
 
     Attributes:
-        law: the law, with the tables of the folder.
-        texts: texts of NAME.c, NAME.h and NAME_data.h, by name.
+        law: exported law with the tables of the folder.
+        texts: texts of NAME.c, NAME.h and NAME_data.h, by file name.
         sha256: checksum of the folder's manifest.
     """
 
@@ -62,12 +63,12 @@ class ExportedCode:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Numbers, prefix and ranges, by which the code is made again, and the checksum, for JSON."""
+        """JSON object with number format, prefix and ranges, from which the code can be generated again, and the checksum."""
         law = self.law
         return {"numbers": law.numbers, "name": law.name, "ranges": law.largest, "manifest_sha256": self.sha256}
 
     def start(self) -> "CompiledStep":
-        """Returns the code at its start, built when it is first used.
+        """Returns the code in its initial state; the code is compiled at its first use.
 
         Raises:
             InputError: there is no compiler, or the compiler rejects the code.
@@ -78,7 +79,7 @@ class ExportedCode:
 @functools.lru_cache(maxsize=16)
 def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
     command = compiler()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows keeps a loaded library
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows does not delete a loaded library
         for file, text in texts:
             (Path(beside) / file).write_text(text, encoding="utf-8", newline="\n")
         library = Path(beside) / f"{name}.so"
@@ -86,18 +87,18 @@ def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
         built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
         if built.returncode:
             raise InputError(f"the compiler {Path(command[0]).name} rejects {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
-        return ctypes.PyDLL(str(library))  # not CDLL: a step is shorter than letting other threads in takes
+        return ctypes.PyDLL(str(library))  # not CDLL: releasing the lock for other threads would take longer than a step
 
 
 class CompiledStep:
-    """One controller of the compiled code: `step()` computes `given` from `seen`, and `x` are its states.
+    """Controller that runs compiled code. `step()` computes `given` from `seen`.
 
     Attributes:
-        seen: inputs in the order of the law's, to be written before a step.
+        seen: inputs in the order of the law's inputs; write them before a step.
         given: outputs of the last step.
-        x: states, as they are after the last step.
+        x: states after the last step.
         step: function that executes a step.
-        state: bytes of its state struct.
+        state: bytes of the state struct.
     """
 
     def __init__(self, code: ExportedCode) -> None:
@@ -116,7 +117,10 @@ class CompiledStep:
         self.fixed = law.fixed
 
     def read(self, seen: Array) -> None:
-        """Writes the inputs in their units, shape (i,); to fixed point they are rounded and clipped, as a converter does."""
+        """Writes the inputs, given in their units, shape (i,).
+
+        For fixed point, the inputs are rounded and clipped, as by an analogue-to-digital converter.
+        """
         if self.fixed is None:
             self.seen[...] = seen
         else:
@@ -125,20 +129,25 @@ class CompiledStep:
 
     @property
     def forces(self) -> Array:
-        """Outputs of the last step in their units, shape (m,)."""
+        """Outputs of the last step in their units (N or N s/m), shape (m,)."""
         return self.given.astype(float) if self.fixed is None else self.given * self.fixed.given
 
     @property
     def states(self) -> Array:
-        """States after the last step, in the law's own units, shape (k,)."""
+        """States after the last step in the units of the law, shape (k,)."""
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.state_units
 
 
 def code_again(vehicle: Vehicle, driver: AnyController, record: Mapping[str, Any]) -> ExportedCode:
-    """Returns the code that a record tells of, made again from a controller.
+    """Generates the code that a record describes again from its controller.
+
+    Args:
+        vehicle: vehicle of the controller.
+        driver: controller whose code is generated.
+        record: record from `ExportedCode.record`.
 
     Raises:
-        InputError: this controller has no such code.
+        InputError: the controller cannot be exported in this way.
     """
     law = exported_law(vehicle, driver, record["numbers"], record["name"], record["ranges"])
     return ExportedCode(law, CSource(law, "0" * 64).files, record["manifest_sha256"])

@@ -1,11 +1,12 @@
-"""Fixed point: integers of 16 or 32 bits for readings, states and forces, each in a unit of its own.
+"""Fixed-point arithmetic: integers of 16 or 32 bits for measurements, states and forces, each with its own unit.
 
-A reading's unit follows from its range, which is given: at the range it is clipped. From these ranges follow peaks of the states,
-by the sum of all their responses, and of the forces, so that nothing else ever overflows. What a unit is of follows its peak,
-rounded up to a power of two; a quantised reading counts its own steps, if there are not too many.
+The range of each measurement is given, and the measurement is clipped at its range. These ranges determine the peaks of the
+states, by a sum over all responses of the states, and then the peaks of the forces. Nothing else can therefore overflow. The
+unit of a quantity is its peak divided by the largest integer, rounded up to a power of two. A quantised measurement uses its
+resolution as the unit instead, if its range has few enough steps.
 
-A row of the law is a sum of whole coefficients times integers, in 64 bits without overflow, divided by 2^shift, rounded to
-the nearest, of two the one away from 0, and clipped.
+A row of the law is a sum of integer coefficients times integers. The sum is computed in 64 bits without overflow, divided by
+2^shift, rounded to the nearest integer (ties away from 0), and clipped.
 """
 
 import math
@@ -19,25 +20,26 @@ from models.laws.linear import LinearLaw
 
 BITS = {"int16": 16, "int32": 32}
 MOST_SHIFT = 62
-ABOVE = 1.01  # of a state's peak, for what rounding adds to it
-LEAST_CHANGE = 16  # units of a force that its largest change has, so that rounding the change down takes at most 6 % of it
-DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000  # of a response whose rest is neglected; samples together, and at most
+ABOVE = 1.01  # factor on the peak of a state, to allow for rounding
+LEAST_CHANGE = 16  # smallest number of force units in the largest change per sample; rounding it down then costs at most 6 %
+# Relative size of a response at which its rest is neglected; samples that are computed together; and largest number of samples
+DECAYED, CHUNK, MOST_SAMPLES = 1e-9, 256, 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class FixedPoint:
-    """Units and whole coefficients of a law with q readings, m forces and k states.
+    """Units and integer coefficients of a law with q measurements, m forces and k states.
 
     Attributes:
-        largest: integer at which everything is clipped.
-        seen: units of the readings, shape (q,).
+        largest: integer at which all values are clipped.
+        seen: units of the measurements, shape (q,).
         given: units of the forces [N], shape (m,).
         state_units: units of the states, shape (k,).
-        rows: coefficients of forces, then next states, on readings, states, then forces that a limit takes, shape
-            (m + k, q + k + m).
+        rows: integer coefficients, shape (m + k, q + k + m). The rows are the forces, then the next states. The columns are the
+            measurements, the states, and the parts of the forces that a limit removes.
         shifts: shift of each row, shape (m + k,).
-        limit: largest force, in the units of each, shape (m,), or None.
-        change: largest change of a force from sample to sample, in the units of each, shape (m,), or None.
+        limit: largest force in units of each force, shape (m,); None without limit.
+        change: largest change of a force per sample in units of each force, shape (m,); None without limit.
     """
 
     largest: int
@@ -51,15 +53,15 @@ class FixedPoint:
 
 
 def summed_responses(rows: Array, transition: Array, first: Array) -> Array:
-    """Returns the sum over all samples and disturbances of |response|, of a stable loop, shape (r,).
+    """Returns the sum of |response| over all samples and disturbances for a stable loop, shape (r,).
 
     Args:
-        rows: map from the state to r outputs.
-        transition: map of the state from sample to sample.
-        first: states after each disturbance.
+        rows: matrix from the n states to r outputs, shape (r, n).
+        transition: matrix of the states from sample to sample, shape (n, n).
+        first: states after each of d disturbances, shape (n, d).
     """
     together = [rows]
-    while len(together) < CHUNK:  # a product of large matrices costs little more than one of small ones
+    while len(together) < CHUNK:  # one product of large matrices is cheaper than many products of small ones
         together.append(together[-1] @ transition)
     chunk, power = np.vstack(together), np.linalg.matrix_power(transition, CHUNK)
     total, state, small = np.zeros(len(chunk)), first, DECAYED * np.abs(first).sum()
@@ -80,19 +82,19 @@ def fixed_point(
     resolution: Array,
     ranges: Array,
 ) -> FixedPoint:
-    """Returns the units and coefficients of a law.
+    """Returns the units and the integer coefficients of a law.
 
     Args:
-        numbers: "int16" or "int32".
-        law: q readings, m forces, k states.
-        L: anti-windup, shape (k, m), or None.
-        limit: largest force [N], or None.
-        change: largest change of a force from sample to sample [N], or None.
-        resolution: step of each reading, 0 for one that is not quantised, shape (q,).
-        ranges: largest magnitude of each reading, shape (q,).
+        numbers: number format, "int16" or "int32".
+        law: discrete law with q measurements, m forces and k states.
+        L: anti-windup gain, shape (k, m); None without anti-windup.
+        limit: largest force [N]; None without limit.
+        change: largest change of a force per sample [N]; None without limit.
+        resolution: quantisation step of each measurement, shape (q,); 0 for a measurement that is not quantised.
+        ranges: largest magnitude of each measurement, shape (q,).
 
     Raises:
-        InputError: a state has no peak, or a unit leaves no digits.
+        InputError: a state has no bounded peak, or the number format has too few digits.
     """
     if change is not None and L is not None and limit is None:
         raise InputError(
@@ -102,7 +104,7 @@ def fixed_point(
     A, B, C, D, largest = law.A, law.B, law.C, law.D, 2 ** (BITS[numbers] - 1) - 1
     m, k = len(D), len(A)
     A_own, pushed = A, B * ranges
-    if L is not None:  # where a force is given, clipped or not, this is the law
+    if L is not None:  # the law with the acting force as an input, whether the force is clipped or not
         A_own, pushed = A - L @ C, np.hstack([(B - L @ D) * ranges, L * (limit or 0.0)])
     if k and np.abs(np.linalg.eigvals(A_own)).max() >= 1 - 1e-12:
         raise InputError(f"{numbers} needs bounded states, but a state of this law does not decay; give double or float")
@@ -111,7 +113,7 @@ def fixed_point(
     if limit is not None and L is None:
         forces = np.minimum(forces, limit)
     seen = np.where(resolution * largest >= ranges, resolution, _units(ranges, largest))
-    apart = 1 if change is None else 2  # peaks between a force and the force of the sample before
+    apart = 1 if change is None else 2  # the difference of two successive forces can be twice the peak
     given, kept = _units(apart * ABOVE * forces, largest), _units(ABOVE * peaks, largest)
     whole = np.block([[D, C, np.zeros((m, m))], [B, A, np.zeros((k, m)) if L is None else L]])
     whole = whole * np.concatenate([seen, kept, given]) / np.concatenate([given, kept])[:, None]
@@ -132,12 +134,12 @@ def fixed_point(
 
 
 def _units(peaks: Array, largest: int) -> Array:
-    """Returns powers of two in which peaks are at most the largest integer."""
+    """Returns powers of two as units in which no peak exceeds the largest integer."""
     return np.array([2.0 ** math.ceil(math.log2(peak / largest)) if peak > 0 else 1.0 for peak in peaks])
 
 
 def rounded_shift(total: int, shift: int, largest: int) -> int:
-    """Returns a sum over 2^shift, rounded to the nearest, of two the one away from 0, and clipped."""
+    """Returns total / 2^shift, rounded to the nearest integer (ties away from 0) and clipped to the largest integer."""
     half = 2 ** (shift - 1) if shift else 0
     result = (total + half) >> shift if total >= 0 else -((half - total) >> shift)
     return max(-largest, min(largest, result))

@@ -1,4 +1,4 @@
-"""FMUs (FMI 2.0 and 3.0): a zip of description, sources, documentation and binaries, the same bytes for the same content."""
+"""FMUs (FMI 2.0 and 3.0): zip files with description, sources, documentation and binaries, reproducible byte for byte."""
 
 import hashlib
 import html
@@ -28,8 +28,8 @@ NAMES_OF_FMI_2 = {
     "FMUState": "FMUstate",
     "^Deserialize": "DeSerialize",
     "ContinuousStateDerivatives": "Derivatives",
-}  # by the names of FMI 3
-# Zig's name of a target, by the folder of its binary in FMI 2 and in FMI 3. A Mac's binary of FMI 2 is for both its processors.
+}  # by the names in FMI 3
+# Target names of Zig, by the folder of the binary in FMI 2 and in FMI 3. In FMI 2, one binary for a Mac serves both processors.
 TARGETS = {
     2: {
         "linux64": ("x86_64-linux-gnu.2.17",),
@@ -45,7 +45,7 @@ TARGETS = {
     },
 }
 PROCESSORS = {"x86_64-macos": (0x0100_0007, 3), "aarch64-macos": (0x0100_000C, 0)}  # type and subtype in a Mach-O file
-FAT, ALIGNED = 0xCAFE_BABE, 14  # of a Mach-O file of several processors; parts begin at multiples of 2**14 bytes
+FAT, ALIGNED = 0xCAFE_BABE, 14  # start of a Mach-O file for several processors; its parts are aligned to 2**14 bytes
 LIBRARY = "-shared -fPIC -fvisibility=hidden"
 PAGE = "<!DOCTYPE html>\n<html><head><title>{title}</title></head><body><pre>{about}</pre></body></html>\n"
 EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -53,13 +53,13 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU as it is written.
+    """FMU as it is written to a file.
 
     Attributes:
         content: bytes of the file.
-        token: GUID of FMI 2, or instantiation token of FMI 3.
+        token: GUID (FMI 2) or instantiation token (FMI 3).
         platforms: folders of its binaries.
-        missing: reason for the missing platforms, or empty.
+        missing: reason why platforms are missing; empty if none is missing.
     """
 
     content: bytes
@@ -69,13 +69,13 @@ class Fmu:
 
 
 def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str) -> Fmu:
-    """Returns the FMU of a model, with binaries for every platform that a compiler is there for.
+    """Returns the FMU of a model, with binaries for every platform for which a compiler is available.
 
     Args:
         model: content of the FMU.
-        version: 2 or 3, of FMI.
-        resources: texts that travel with it, by name.
-        about: text of its documentation, plain.
+        version: version of FMI, 2 or 3.
+        resources: texts of additional files in the FMU, by file name.
+        about: plain text of its documentation.
     """
     parts = ["fmu.h", *(["linear.c"] if "linear.c" in model.sources else [])]
     sources = {**model.sources, **{name: (HERE / name).read_text(encoding="utf-8") for name in parts}}
@@ -100,7 +100,7 @@ def fmu(model: FmuModel, version: int, resources: Mapping[str, str], about: str)
 
 
 def functions_of(version: int) -> str:
-    """Returns the C source of all functions of a version of FMI, from the template that has the names of FMI 3."""
+    """Returns the C source of all functions of a version of FMI. The template has the names of FMI 3."""
 
     def named(found: re.Match[str]) -> str:
         name = found[1]
@@ -113,7 +113,7 @@ def functions_of(version: int) -> str:
 
 
 def zip_files(files: Mapping[str, bytes]) -> bytes:
-    """Returns a zip of files, whose bytes depend on nothing but their names and contents."""
+    """Returns a zip of files. Its bytes depend only on the names and contents of the files."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(files):
@@ -124,7 +124,7 @@ def zip_files(files: Mapping[str, bytes]) -> bytes:
 
 
 def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int) -> tuple[dict[str, bytes], str]:
-    """Returns binaries by folder, and what is missing for more."""
+    """Returns the binaries by folder, and a text about missing platforms."""
     with tempfile.TemporaryDirectory(prefix="fmu") as folder:
         place = Path(folder)
         for name, text in sources.items():
@@ -144,7 +144,7 @@ def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int)
 
 
 def _host(version: int) -> str | None:
-    """Returns the folder of this machine's binaries, or None for a machine that FMI has no name for."""
+    """Returns the folder for binaries of this machine; None if FMI has no name for this type of machine."""
     system, processor = (
         platform.system().lower(),
         platform.machine().lower().replace("amd64", "x86_64").replace("arm64", "aarch64"),
@@ -155,7 +155,7 @@ def _host(version: int) -> str | None:
 
 
 def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str], name: str) -> bytes:
-    """Returns a shared library of the sources in a folder."""
+    """Compiles the sources in a folder. Returns the bytes of the shared library."""
     library = place / f"{name}.library"
     command = [*compiler, *FLAGS.split(), *LIBRARY.split(), *compiled, "-o", library.name]
     if "windows" in name:
@@ -167,7 +167,7 @@ def _build_library(compiler: Sequence[str], place: Path, compiled: Sequence[str]
 
 
 def _universal(targets: Sequence[str], parts: Sequence[bytes]) -> bytes:
-    """Returns a Mach-O file of several processors, or the one part as it is."""
+    """Returns a Mach-O file for several processors. A single part is returned unchanged."""
     if len(parts) == 1:
         return parts[0]
     whole = bytearray(struct.pack(">II", FAT, len(parts)))

@@ -1,4 +1,4 @@
-"""modelDescription.xml of an FMU, for FMI 2.0 and 3.0, and buildDescription.xml of 3.0."""
+"""modelDescription.xml of an FMU for FMI 2.0 and 3.0, and buildDescription.xml for FMI 3.0."""
 
 from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import quoteattr
@@ -24,18 +24,18 @@ BASE = {
 }
 RATES = {"m/s": "m/s2", "m/s2": "m/s3", "rad/s": "rad/s2"}
 CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError")
-STEP, SAMPLES = 0.001, 1000  # s, of a system that has no period; samples of the default experiment
+STEP, SAMPLES = 0.001, 1000  # step of a system without sample period [s], and number of samples of the default experiment
 Attributes = Mapping[str, str | float | bool | None]
 
 
 def description(model: FmuModel, version: int, token: str, files: Sequence[str]) -> str:
-    """Returns modelDescription.xml.
+    """Returns the text of modelDescription.xml.
 
     Args:
         model: content of the FMU.
-        version: 2 or 3, of FMI.
-        token: GUID or instantiation token.
-        files: C files that are compiled.
+        version: version of FMI, 2 or 3.
+        token: GUID (FMI 2) or instantiation token (FMI 3).
+        files: names of the C files that are compiled.
     """
     head = {
         "fmiVersion": f"{version}.0",
@@ -68,7 +68,7 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
 
 
 def build_description(model: FmuModel, files: Sequence[str]) -> str:
-    """Returns buildDescription.xml of FMI 3, in which the sources are C99 files of one set."""
+    """Returns the text of buildDescription.xml for FMI 3. The sources are one set of C99 files."""
     listed = "".join(f"      <SourceFile{_xml_attributes({'name': name})}/>\n" for name in files)
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
@@ -90,7 +90,7 @@ def _about(model: FmuModel) -> str:
 
 
 def _xml_attributes(attributes: Attributes) -> str:
-    """Returns attributes as XML, without those that are None."""
+    """Returns attributes as XML; attributes that are None are omitted."""
     return "".join(f" {name}={quoteattr(_text(value))}" for name, value in attributes.items() if value is not None)
 
 
@@ -131,12 +131,15 @@ def _unit(signal: Signal) -> str | None:
 
 
 def _rate(signal: Signal) -> str | None:
-    """Returns the unit of a state's derivative."""
+    """Returns the unit of the derivative of a state; None if the state has no common unit."""
     return None if signal.unit == OWN else RATES.get(signal.unit, f"{signal.unit}/s")
 
 
 def _variables(model: FmuModel, version: int) -> list[str]:
-    """Returns the variables by their value references: inputs, outputs, states, derivatives, and time, which FMI 3 asks for."""
+    """Returns the variables in the order of their value references: inputs, outputs, states, derivatives.
+
+    For FMI 3, which requires it, the time is the last variable.
+    """
     rows: list[tuple[str, str, Attributes, Attributes]] = []
     sampled = "continuous" if model.states else "discrete"
     for one in model.inputs:
@@ -151,7 +154,7 @@ def _variables(model: FmuModel, version: int) -> list[str]:
     first = len(model.inputs) + len(model.outputs)
     for i, one in enumerate(model.states):
         kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
-        of = first + i + (1 if version == 2 else 0)  # an index from 1, or a value reference
+        of = first + i + (1 if version == 2 else 0)  # FMI 2: index from 1; FMI 3: value reference
         rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": of}))
     if version == 3:
         time = {"causality": "independent", "variability": "continuous"}

@@ -1,4 +1,4 @@
-"""The content of an FMU: a sampled law as exported C, or a linear system; its variables, and the sources of its own."""
+"""Content of an FMU, either a sampled law as exported C code or a linear system: its variables and its C sources."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,19 +19,20 @@ _number = partial(literal, "double")
 
 @dataclass(frozen=True, eq=False)
 class FmuModel:
-    """The content of an FMU, whatever its version.
+    """Content of an FMU, independent of the version of FMI.
 
     Attributes:
-        identifier: name of its library, a name in C.
-        title: title in one line.
-        inputs: m signals, all names different from those of the outputs.
-        outputs: p signals.
-        states: n signals of continuous states; none of a sampled law.
-        period: step that it must be called with [s]; None for any.
-        delay: samples from an input to the output that answers it; 0 of a linear system.
+        identifier: name of its library, which is a valid C name.
+        title: one-line title.
+        inputs: m input signals; their names differ from those of the outputs.
+        outputs: p output signals.
+        states: n signals of continuous states; empty for a sampled law.
+        period: required length of a step [s]; None if steps may have any length.
+        delay: delay from an input to its output [samples]; 0 for a linear system.
         start: outputs before the first step, shape (p,).
-        slopes: slopes of outputs, then states' derivatives, by inputs, then states, shape (p + n, m + n); None for a sampled law.
-        sources: C files of its own, by name.
+        slopes: partial derivatives, shape (p + n, m + n); None for a sampled law. The rows are the outputs, then the
+            derivatives of the states. The columns are the inputs, then the states.
+        sources: C files of this model, by file name.
     """
 
     identifier: str
@@ -47,12 +48,12 @@ class FmuModel:
 
 
 def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
-    """Returns a law as the content of an FMU for co-simulation.
+    """Returns a control law as the content of an FMU for co-simulation.
 
     Args:
-        vehicle: the vehicle that the law drives.
-        law: the law; no other source of an FMU has its prefix in C.
-        certificate: SHA-256 of the certificate's file.
+        vehicle: vehicle that the law controls.
+        law: exported law. Its C prefix must not occur in the other sources of an FMU.
+        certificate: SHA-256 of the certificate file.
     """
     code, m = CSource(law, certificate), len(law.outputs)
     read = zip(law.inputs, law.units, law.meanings, strict=True)
@@ -77,7 +78,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
 
 
 def linear_model(identifier: str, title: str, vehicle: Vehicle, system: StateSpace) -> FmuModel:
-    """Returns a vehicle's linear system as the content of an FMU for model exchange and co-simulation."""
+    """Returns the linear system of a vehicle as the content of an FMU for model exchange and co-simulation."""
     n, m, p = len(system.states), len(system.inputs), len(system.outputs)
     slopes = np.block([[system.D, system.C], [system.B, system.A]])
     rate = _number(np.abs(system.A).sum(axis=1).max())
@@ -93,7 +94,7 @@ def linear_model(identifier: str, title: str, vehicle: Vehicle, system: StateSpa
 
 
 def _head(inputs: int, outputs: int, states: int, more: str) -> str:
-    """Returns fmu_model.h; its token is filled in when all else is known."""
+    """Returns the text of fmu_model.h. Its token is inserted later, when all other files are known."""
     return (
         "/* The content of this FMU. */\n#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
         f'#define FMU_TOKEN "@TOKEN@"\n#define FMU_INPUTS {inputs}\n#define FMU_OUTPUTS {outputs}\n#define FMU_STATES {states}\n'

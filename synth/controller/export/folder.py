@@ -1,4 +1,4 @@
-"""The folder of an exported controller: code, tables, test vectors, certificate and manifest, all from one vehicle file."""
+"""Folder of an exported controller: code, tables, test vectors, certificate and checksums, all from one vehicle file."""
 
 import hashlib
 import json
@@ -24,14 +24,14 @@ from synth.controller.export.compiled import ExportedCode
 from synth.controller.report import study_notes
 
 VECTORS, SEED = 1000, 20261126
-INVALID = 50  # test vectors from one with an input that is not finite to the next
+INVALID = 50  # one in so many test vectors has an input that is not finite
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
-CERTIFICATES = "certificates"  # the folder of LMI certificates
-SAME = 1e-9  # relative: tables that another machine computes are as near
+CERTIFICATES = "certificates"  # name of the folder with the LMI certificates
+SAME = 1e-9  # relative difference of tables that rounding on another machine may cause
 
 
 def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> dict[str, Any]:
-    """Returns what certificate.json holds: the law, its tables as they are run, and the claims of the vehicle file."""
+    """Returns the content of certificate.json: the law, its tables as used in the code, and the claims of the vehicle file."""
     claims = vehicle.controllers[driver.name].certificate if driver.name in vehicle.controllers else None
     tables = {name: getattr(law.law, name) for name in MATRICES} | {"anti_windup": law.anti_windup}
     found: dict[str, Any] = {
@@ -49,13 +49,13 @@ def certificate(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> di
 
 
 def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificates: Mapping[str, str]) -> dict[str, str]:
-    """Returns the text of every file, by its path in the folder.
+    """Returns the text of every file in the folder, by path in the folder.
 
     Args:
-        vehicle: the vehicle whose file is in the folder.
-        driver: controller of that vehicle.
-        law: the law as it is exported.
-        certificates: LMI certificates and the programs that check them, by name; empty for none.
+        vehicle: vehicle whose file is in the folder.
+        driver: controller of this vehicle.
+        law: law in its exported form.
+        certificates: LMI certificates and the programs that check them, by file name; may be empty.
     """
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
     source = CSource(law, sha256(record))
@@ -74,7 +74,7 @@ def files(vehicle: Vehicle, driver: AnyController, law: ExportedLaw, certificate
 
 
 def vectors(law: ExportedLaw) -> str:
-    """Returns test/vectors.csv: inputs of random samples, and the outputs that the code must give for them."""
+    """Returns the text of test/vectors.csv: random inputs, and the outputs that the code must compute for them."""
     step, rows = PythonStep(law), [", ".join([*law.inputs, *law.outputs])]
     for k, seen in enumerate(random_inputs(law, VECTORS, SEED)):
         if law.fixed is None and k % INVALID == INVALID - 1:
@@ -150,7 +150,7 @@ cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 
 
 def _lmi_certificates(certificates: Mapping[str, str]) -> str:
-    """Returns what README.md says of LMI certificates."""
+    """Returns the part of README.md about LMI certificates."""
     if not certificates:
         return ""
     file = next(iter(certificates))
@@ -162,7 +162,7 @@ def _lmi_certificates(certificates: Mapping[str, str]) -> str:
 
 
 def _whole_numbers(law: ExportedLaw) -> str:
-    """Returns what README.md says of fixed point."""
+    """Returns the part of README.md about fixed-point numbers."""
     if law.ranges is None:
         return ""
     each = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
@@ -174,7 +174,7 @@ def _whole_numbers(law: ExportedLaw) -> str:
 
 
 def _faults(law: ExportedLaw) -> str:
-    """Returns the lines of README.md about inputs that are not finite numbers."""
+    """Returns the part of README.md about inputs that are not finite."""
     if law.fixed is not None:
         return (
             "- Integers cannot hold NaN or infinity. If a sensor fails, give the last valid integer. Inputs are clipped at\n"
@@ -182,10 +182,10 @@ def _faults(law: ExportedLaw) -> str:
         )
     safe = "the nominal coefficient" if law.dampers else "0 N"
     return (
-        "- If an input is NaN or infinite, the step uses the last finite value of this input. Before the first one it uses 0.\n"
+        "- If an input is NaN or infinite, the step uses the last finite value of this input, or 0 before it.\n"
         f"  If a sum overflows, the output is {safe} and the state starts again at 0. No output is ever NaN.\n"
         "- `state.faults` counts the inputs, sums and states of the last step that were not finite. 0 means none. Read it after\n"
-        "  each step, and decide how long to drive on held inputs.\n"
+        "  each step, and decide how long the vehicle may drive with held inputs.\n"
     )
 
 
@@ -207,13 +207,13 @@ def _claims(vehicle: Vehicle, driver: AnyController, law: ExportedLaw) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFolder:
-    """An exported folder.
+    """Exported folder that was read and checked.
 
     Attributes:
         folder: path of the folder.
-        vehicle: vehicle from the folder's vehicle file.
-        law: the law that was exported, from that file.
-        failures: a line for each file that is missing or changed.
+        vehicle: vehicle from the vehicle file in the folder.
+        law: exported law, computed again from this vehicle file.
+        failures: one-line text for each file that is missing or changed.
     """
 
     folder: Path
@@ -223,10 +223,11 @@ class ExportedFolder:
 
 
 def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]) -> ExportedFolder:
-    """Returns an exported folder, with every file of its manifest compared with its checksum.
+    """Reads an exported folder, and compares every file in its manifest with its checksum.
 
     Args:
-        driver_of: returns a controller of a vehicle.
+        folder: path of the folder.
+        driver_of: function of a vehicle and a name that returns the controller.
 
     Raises:
         InputError: the folder is not an exported controller.
@@ -251,10 +252,15 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], AnyController]
 
 
 def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyController]) -> list[AnyController]:
-    """Returns controllers of a vehicle, of which the code of a folder drives the one that was exported.
+    """Returns the controllers of a vehicle, where the exported controller uses the code of a folder.
+
+    Args:
+        found: exported folder.
+        vehicle: vehicle to be simulated.
+        drivers: controllers of this vehicle.
 
     Raises:
-        InputError: a file of the folder is changed, or it is of another controller or vehicle.
+        InputError: a file of the folder was changed, or the folder belongs to another controller or vehicle.
     """
     folder, law = found.folder, found.law
     if found.failures:
@@ -271,15 +277,15 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[AnyContro
         raise InputError(f"--as {folder}: the law of controller {driver.name!r} has changed since the export; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
-    code.start()  # code that cannot be built is refused before the long work
+    code.start()  # raises an error before the simulations if the code cannot be built
     return [*drivers[: fits[0]], replace(driver, code=code), *drivers[fits[0] + 1 :]]
 
 
 def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool:
-    """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
+    """Returns True if exporting a controller with the name, number format and ranges of `law` gives the same law."""
     try:
         other = exported_law(vehicle, driver, law.numbers, law.name, law.largest)
-    except InputError:  # it cannot be exported so
+    except InputError:  # the controller cannot be exported in this form
         return False
     same = ("inputs", "outputs", "limit", "change", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
     tables = [(getattr(law.law, name), getattr(other.law, name)) for name in MATRICES]
@@ -288,14 +294,14 @@ def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: AnyController) -> bool
 
 
 def _near(one: Array | None, other: Array | None) -> bool:
-    """Returns True if two tables are equal but for the rounding of another machine."""
+    """Returns True if two tables are equal, except for rounding on another machine."""
     if one is None or other is None:
         return one is other
     return one.shape == other.shape and np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(other).max(initial=0.0))
 
 
 def _facts(vehicle: Vehicle) -> dict[str, Any]:
-    """Returns what a controller was exported for, by name."""
+    """Returns the properties of a vehicle on which an exported controller depends, by name."""
     facts: dict[str, Any] = {"type": vehicle.kind.name, **vehicle.parameters}
     for section, of in (("implementation", vehicle.implementation), ("limits", vehicle.limits)):
         facts |= {f"[{section}] {name}": value for name, value in vars(of).items() if name != "seed"}

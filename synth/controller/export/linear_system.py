@@ -1,4 +1,7 @@
-"""A vehicle alone, and with its controller, as linear systems that others import, measured from static equilibrium."""
+"""Linear systems for export: a vehicle alone, and a vehicle with its controller.
+
+All signals are relative to static equilibrium.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,17 +16,18 @@ from synth.plant.state_space import StateSpace
 
 
 def vehicle_system(vehicle: Vehicle) -> StateSpace:
-    """Returns a vehicle as a system from roads, loads and requested forces to its signals, with its actuators' lag."""
+    """Returns the linear system of a vehicle with actuator lag, from roads, loads and requested forces to its signals."""
     model = vehicle.linear_model
     outputs = [name for name in model.outputs if name not in model.inputs]
     return _with_heights(vehicle, plant_of(vehicle)).part(outputs, (*model.disturbances, *model.loads, *model.inputs))
 
 
 def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
-    """Returns a vehicle with a controller, in continuous time, as a system from roads and loads to its signals and forces.
+    """Returns the closed loop of a vehicle and a controller in continuous time, from roads and loads to signals and forces.
 
     Raises:
-        InputError: a discrete law has no continuous counterpart, or its loop through the measurements no solution.
+        InputError: a discrete law has no continuous counterpart, or the algebraic loop through the measurements has no
+            solution.
     """
     model, loop = vehicle.linear_model, loop_of(vehicle, controller)
     loop = replace(loop, plant=_with_heights(vehicle, loop.plant))
@@ -32,7 +36,7 @@ def loop_system(vehicle: Vehicle, controller: Controller) -> StateSpace:
 
 
 def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
-    """Returns the signals of inputs, states or outputs of these systems."""
+    """Returns the signals (with units and meanings) of inputs, states or outputs of these systems, given their names."""
     model, kind = vehicle.linear_model, vehicle.kind
     known = {name: load_signal(name) for name in model.loads}
     lagged = zip(with_lag(vehicle).states[len(model.states) :], model.inputs, strict=False)
@@ -47,7 +51,7 @@ def signals_of(vehicle: Vehicle, names: Sequence[str]) -> tuple[Signal, ...]:
 
 
 def _with_heights(vehicle: Vehicle, plant: StateSpace) -> StateSpace:
-    """Returns the plant of a vehicle with its roads' heights as states, if they act: integrals of the roads' velocities."""
+    """Returns the plant with the road heights, if they act, as additional states: integrals of the road velocities."""
     roads, heights = vehicle.linear_model.disturbances, plant.columns(with_ending(vehicle.linear_model.disturbances, HEIGHT))
     B, D, r = plant.B[:, heights], plant.D[:, heights], len(roads)
     if not B.any() and not D.any():

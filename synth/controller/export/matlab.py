@@ -1,4 +1,4 @@
-"""Controllers and their vehicle for MATLAB: a file of structs (version 5), and a script that makes `ss` objects of it."""
+"""Controllers and their vehicle for MATLAB: a file of structs (version 5), and a script that creates `ss` objects from them."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -15,16 +15,16 @@ from synth.controller.export.linear_system import signals_of, vehicle_system
 from synth.controller.report import study_notes
 
 VEHICLE, QUOTE = "vehicle", "'"
-TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # with no date, so that the same content has the same bytes
-LONGEST = 63  # characters of a name in MATLAB, and in a file of version 5
-RESERVED_WORDS = {  # by MATLAB, and by the script
+TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # without a date, so that the same content gives the same bytes
+LONGEST = 63  # largest number of characters of a name in MATLAB, and in a file of version 5
+RESERVED_WORDS = {  # words reserved by MATLAB, and variables of the script
     *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if", "otherwise"),
     *("parfor", "persistent", "return", "spmd", "switch", "try", "while", "file", "loop", "plant"),
 }
 
 
 def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
-    """Returns the name of each controller's struct, all different and none the vehicle's."""
+    """Returns the name of each controller's struct. All names are different, and none is that of the vehicle."""
     names, taken = dict[str, str](), {VEHICLE, *RESERVED_WORDS}
     for one in controllers:
         plain = c_name(one.name)[: LONGEST - 4]
@@ -35,11 +35,11 @@ def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
 
 
 def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
-    """Returns the file: a struct for each controller, and `vehicle` with the plant that they drive.
+    """Returns the bytes of a MAT-file with a struct for each controller, and the struct `vehicle` with the plant.
 
-    A controller's struct has A, B, C, D, Ts (0 if it is continuous), the names and units of its inputs and outputs, `gain`, its
-    feedthrough, and `certificate`: norm, bound, lower bound and X. Where the vehicle file has a sample period, `sampled` has the
-    matrices that its computer runs.
+    The struct of a controller contains A, B, C, D, Ts (0 if continuous) and the names and units of its inputs and outputs. The
+    struct also contains `gain`, the feedthrough, and `certificate`, with norm, bound, lower bound and X. If the vehicle file
+    has a sample period, `sampled` contains the matrices of the discrete implementation.
     """
     for one in controllers:
         check_feedback_alone(one, "a file for MATLAB")
@@ -71,7 +71,7 @@ def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
 
 
 def _cell_arrays(what: str, signals: Sequence[Signal]) -> dict[str, Any]:
-    """Returns names, units and meanings of signals as cell arrays."""
+    """Returns names, units and meanings of signals as MATLAB cell arrays."""
     columns = {what: "name", f"{what}_units": "unit", f"{what}_meanings": "meaning"}
     return {key: _cell([getattr(one, attribute) for one in signals]) for key, attribute in columns.items()}
 
@@ -83,15 +83,15 @@ def _cell(texts: Sequence[str]) -> Any:
 
 
 def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the numbers of a certificate."""
+    """Returns the numbers of a certificate as arrays."""
     return {key: np.asarray(value, dtype=float) for key, value in record.items() if key == "X" or isinstance(value, float)}
 
 
 def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> str:
-    """Returns MATLAB code that makes an `ss` object of each controller and of the plant, and closes their loop by names."""
+    """Returns MATLAB code that creates `ss` objects of the plant and of each controller, and connects them by signal names."""
     names = struct_names(controllers)
     lines = [
-        f"% Makes ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",
+        f"% Creates ss objects of the plant and of each controller from {file}; needs the Control System Toolbox.",
         "% All signals are in SI units and measured from static equilibrium. Feedback is positive: u = K y.",
         f"file = load('{file.replace(QUOTE, 2 * QUOTE)}');",
         *_ss("plant", f"file.{VEHICLE}.model"),

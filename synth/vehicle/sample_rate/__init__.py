@@ -1,1 +1,1 @@
-"""Cost of a low sample rate: the norm of a controller over the sample period, and its stability limit."""
+"""Cost of a low sample rate: norm of a controller as a function of the sample period, and its stability limit."""

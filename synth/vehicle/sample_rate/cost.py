@@ -1,8 +1,8 @@
-"""Cost of a low sample rate: the exact norm of a loop over the sample period, undelayed and delayed, and its stability limit.
+"""Cost of a low sample rate: exact norm of a loop over the sample period, with and without delay, and its stability limit.
 
-The end is where, from the fastest computer on, the sampled loop is lost. Stability is that of the sampled loop itself. Between
-neighbouring periods no mode of the vehicle or of the law turns by more than a tenth of a radian, as long as anything is left of
-it. Between the last that is stable and the first that is not the interval is halved until it is nothing.
+The stability limit is the shortest sample period at which the sampled-data loop is unstable. The search starts at the fastest
+rate. Between two periods that are tried, no mode of the vehicle or of the law turns by more than 0.1 rad, unless it has
+decayed. The limit is then found by bisection between the last stable period and the first unstable one.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -26,21 +26,22 @@ from synth.design.problem import DesignProblem
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
 
-SHORTEST = 1e-5  # s; a computer of 100 kHz is the fastest that is asked about
-TURN = 0.1  # rad that a mode turns by from one period that is tried to the next
-TIME_CONSTANTS = 25.0  # time constants, after which e^-25 is left of a mode
-CLOSE = 1e-12  # relative, of two periods
+SHORTEST = 1e-5  # shortest sample period that is tried [s], 100 kHz
+TURN = 0.1  # largest angle by which a mode turns between two periods that are tried [rad]
+TIME_CONSTANTS = 25.0  # number of time constants after which a mode counts as decayed, to e^-25
+CLOSE = 1e-12  # relative difference of two periods at which the bisection ends
 
 
 def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
-        vehicle: the vehicle; sample period and delay of its `[implementation]` do not count.
-        delay: delay from a measurement to the force computed from it, in samples.
+        vehicle: vehicle; the sample period and the delay of its `[implementation]` are not used.
+        controller: linear controller of this vehicle.
+        delay: delay from a measurement to the force computed from it [samples].
 
     Returns:
-        0 if the loop is unstable even at the highest rate.
+        The sample period [s]; 0 if the loop is unstable even at the highest rate.
     """
 
     def kept(period: float) -> bool:
@@ -60,7 +61,7 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
 
 
 def _between(kept: Callable[[float], bool], before: float, after: float) -> float:
-    """Bisects the period of stability loss between a stable and an unstable period."""
+    """Returns the stability limit between a stable and an unstable period [s], by bisection."""
     while after - before > CLOSE * after:
         middle = (before + after) / 2
         before, after = (middle, after) if kept(middle) else (before, middle)
@@ -68,20 +69,20 @@ def _between(kept: Callable[[float], bool], before: float, after: float) -> floa
 
 
 def _modes(vehicle: Vehicle, controller: Controller) -> Array:
-    """Poles of the vehicle, its actuators and the law, by themselves [rad/s]."""
+    """Returns the poles of the vehicle with its actuators, and those of the law itself [rad/s]."""
     return np.concatenate([np.linalg.eigvals(A) for A in (with_lag(vehicle).A, controller.law.continuous().A)])
 
 
 @dataclass(frozen=True)
 class AtRate:
-    """The norms of a controller at one sample rate.
+    """Norms of a controller at one sample rate.
 
     Attributes:
         period: sample period [s].
         undelayed_norm: norm of the loop without delay.
         delayed_norm: norm of the loop with the delay `Cost.delay`.
-        designed_norm: norm without delay of a controller designed for this rate; None without such a design.
-        design_failure: reason if that design was requested and failed, or empty.
+        designed_norm: norm, without delay, of a controller that was designed for this rate; None without such a design.
+        design_failure: reason if such a design was requested and failed; else empty.
     """
 
     period: float
@@ -93,17 +94,17 @@ class AtRate:
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """The norms of a controller at several sample rates.
+    """Norms of a controller at several sample rates.
 
     Attributes:
-        controller: the controller.
-        ideal: norm of its continuous loop, with its actuators' lag and without noise; infinite if that is not stable.
-        lower_bound: lower bound on the norm with these measurements at any rate; None if unknown. It is proved for time-invariant
-            controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
-        delay: delay of the late forces, in samples.
-        rates: norms at the rates, ascending by period.
-        unstable_period: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
-        lost_late: shortest sample period at which the loop with late forces is not stable [s].
+        controller: controller of the loop.
+        ideal: norm of the continuous loop with actuator lag and without noise; infinite if this loop is not stable.
+        lower_bound: lower bound on the norm with these measurements at any rate; None if it is unknown. The bound is proved for
+            time-invariant controllers, and time-varying controllers are not better (Khargonekar, Poolla 1986).
+        delay: delay of the forces in the delayed case [samples].
+        rates: norms at the sample rates, by increasing period.
+        unstable_period: shortest sample period at which the loop is not stable [s]; see `smallest_unstable_period`.
+        lost_late: shortest sample period at which the loop with delay is not stable [s].
     """
 
     controller: Controller
@@ -116,11 +117,11 @@ class Cost:
 
     @property
     def redesigned(self) -> bool:
-        """True if a design for any rate was made or tried."""
+        """True if a design for any of the rates was made or attempted."""
         return any(at.designed_norm is not None or at.design_failure for at in self.rates)
 
     def loss(self, norm: SampledNorm) -> float:
-        """Returns the relative excess of a norm over the continuous loop's; negative if it is less, infinite if unstable."""
+        """Returns the relative increase of a norm over that of the continuous loop; infinite for an unstable loop."""
         return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf
 
 
@@ -131,26 +132,27 @@ def cost(
     designs: Collection[float] = (),
     done: Callable[[int], None] = lambda count: None,
 ) -> Cost:
-    """Computes the norms of a controller at these sample periods.
+    """Computes the norms of a controller at several sample periods.
 
     Args:
-        vehicle: vehicle, of whose `[implementation]` only the delay in samples counts; default one.
-        periods: ascending [s].
-        designs: periods for which a controller designed in two steps is designed again.
+        vehicle: vehicle of the controller. Only the delay of its `[implementation]` is used [samples]; default 1.
+        controller: linear controller.
+        periods: sample periods in ascending order [s].
+        designs: periods for which a static controller is also designed again [s].
         done: callback that receives the number of finished periods.
 
     Raises:
-        DesignError: a law for study has no norm at any rate.
+        DesignError: the loop has no finite norm at any rate, because a constant road height affects z.
     """
     if not has_sampled_norm(vehicle, controller):
-        raise DesignError("the loop has no finite norm at any rate, as a permanent height of the road shows in z")
+        raise DesignError("the loop has no finite norm at any rate, because a constant road height affects z")
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
     near, rates = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
     for i, period in enumerate(periods):
         both = []
         for k, samples in enumerate((0, delay)):
             norm = norm_at(vehicle, controller, period, samples, near[k])
-            near[k] = norm.value if norm.stable and norm.value else near[k]  # the next is not far
+            near[k] = norm.value if norm.stable and norm.value else near[k]  # the norm at the next period is similar
             both.append(norm)
         prompt, late = both
         again = period in designs and _in_two_steps(vehicle, controller)
@@ -162,20 +164,20 @@ def cost(
 
 
 def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
-    """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
+    """Returns the norm of a loop for a sample period [s] and a delay [samples]; the search starts at the estimate `near`."""
     built = replace(vehicle, implementation=Implementation(period, delay))
     return sampled_norm(sampled_loop(built, controller.without_noise), near)
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Returns True if the controller can be designed for a sampled loop, too: a static gain without noise."""
+    """Returns True if the controller can also be designed for a sampled-data loop: a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
     return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
 
 
 def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
-    """Returns the norm of a gain on the same measurements designed for a rate; without one None, and the reason."""
+    """Returns the norm of a gain that is designed for a sample period [s]; if the design fails, returns None and the reason."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:
@@ -187,9 +189,9 @@ def _norm_at_rate(vehicle: Vehicle, controller: Controller, period: float, near:
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset.
+    """Returns the lower bound for controllers without delay; the bound also holds with delay or lag.
 
-    None if z weighs an integral, which the norms leave out.
+    The result is None if z weights an integral, because the norms at the rates do not include it.
     """
     if vehicle.integrals:
         return None

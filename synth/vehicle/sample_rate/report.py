@@ -1,4 +1,4 @@
-"""Reports on the cost of low sample rates: in words, as JSON, and as a figure."""
+"""Reports on the cost of low sample rates: as text, as JSON, and as a figure."""
 
 import math
 import re
@@ -19,10 +19,10 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.report import LOWER_BOUND, NORM, NORM_AS_IMPLEMENTED, PROOF, norm_failures
 from synth.vehicle.sample_rate.cost import SHORTEST, AtRate, Cost
 
-LITTLE = 1e-2  # relative: a rate that costs no more is cheap
-SAME = 5e-9  # relative: what is nearer to the continuous norm is it
-FEW = 2  # controllers with a table each; those of more would not fit a terminal
-Kind = Callable[[AtRate], SampledNorm | None]  # one of the norms at a rate
+LITTLE = 1e-2  # relative increase of the norm up to which a rate counts as cheap
+SAME = 5e-9  # relative difference below which a norm counts as equal to the continuous one
+FEW = 2  # number of controllers up to which each has a table; more tables would not fit a terminal
+Kind = Callable[[AtRate], SampledNorm | None]  # function that selects one of the norms at a rate
 KINDS: dict[str, Kind] = {
     "at once": lambda at: at.undelayed_norm,
     "late": lambda at: at.delayed_norm,
@@ -31,10 +31,11 @@ KINDS: dict[str, Kind] = {
 
 
 def describe(costs: Sequence[Cost], lag: str = "") -> Document:
-    """Returns the cost of low sample rates as a document: a row for each controller, and a table for each.
+    """Returns the cost of low sample rates as a document: a summary with a row per controller, and a table per controller.
 
     Args:
-        lag: lag of the actuators in words, or empty.
+        costs: cost of each controller.
+        lag: text about the actuator lag; empty without lag.
     """
     kinds = [name for name in KINDS if name != "designed" or any(one.redesigned for one in costs)]
     fields = [
@@ -54,7 +55,13 @@ def describe(costs: Sequence[Cost], lag: str = "") -> Document:
 
 
 def about(one: Cost, lag: str, designs: bool) -> str:
-    """Returns the explanation of the columns; `lag` is that of the actuators in words, which the design table leaves out."""
+    """Returns the explanation of the columns.
+
+    Args:
+        one: cost of a controller.
+        lag: text about the actuator lag, which the norms in the design table do not include; empty without lag.
+        designs: True if the table has a column of controllers designed for each rate.
+    """
     designed = "designed: change with a gain designed for this rate. " if designs else ""
     text = (
         f"cheap: the slowest rate that raises the norm by at most {percent(LITTLE)}, or else the fastest rate. at once, late: "
@@ -65,7 +72,7 @@ def about(one: Cost, lag: str, designs: bool) -> str:
 
 
 def _table(one: Cost, lag: str, detail: Detail) -> Document:
-    """Returns the document of a controller: its norm at each rate."""
+    """Returns a document about one controller: its norm at each rate."""
     ideal = NORM.digits(one.ideal) if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {LOWER_BOUND.digits(one.lower_bound)}" if one.lower_bound is not None else ""
     name = one.controller.name
@@ -83,13 +90,13 @@ HERTZ = Field[float]("rate", lambda rate: rate, ".4g", unit="Hz")
 
 
 def _cheap(one: Cost) -> AtRate:
-    """Returns the slowest rate that costs little, or else the fastest."""
+    """Returns the slowest rate that counts as cheap; if there is no such rate, the fastest."""
     cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
     return cheap[-1] if cheap else one.rates[0]
 
 
 def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Returns by how much a norm is above the continuous one, with its sign; "UNSTABLE", or empty if that one is infinite."""
+    """Returns a text of the relative change of a norm from the continuous norm; "UNSTABLE" if the loop is unstable."""
     norm = kind(at)
     if norm is None or not norm.stable:
         return "UNSTABLE" if norm is not None else "-"
@@ -99,7 +106,7 @@ def _loss(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
-    """Returns a norm and its loss."""
+    """Returns a text of a norm and its relative change."""
     norm, loss = kind(at), _loss(one, kind, at)
     if norm is None or not norm.stable:
         return loss
@@ -107,7 +114,7 @@ def _cell(one: Cost, kind: Kind, at: AtRate) -> str:
 
 
 def _highest_unstable_rate(period: float) -> str | None:
-    """Returns the highest unstable rate: the fastest of all if no rate is stable, as a period of 0 means; None if all are."""
+    """Returns a text of the highest unstable rate; None if all rates are stable. A period of 0 means that no rate is stable."""
     return None if math.isinf(period) else UNSTABLE_RATE.digits(1 / (period or SHORTEST))
 
 
@@ -115,7 +122,7 @@ UNSTABLE_RATE = Field[float]("rate", float, ".3g", unit="Hz")
 
 
 def failures(one: Cost) -> list[str]:
-    """Returns the failures of the norms, in words."""
+    """Returns texts of the failed checks of the norms."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
@@ -130,7 +137,7 @@ def failures(one: Cost) -> list[str]:
 
 
 def _norm(one: Cost, norm: SampledNorm | None) -> dict[str, Any] | None:
-    """Returns a norm with its loss and its proof for JSON; None if the loop is not stable."""
+    """Returns a norm with its relative change and its proof for JSON; None if the loop is not stable."""
     if norm is None or not norm.stable:
         return None
     return {"value": norm.value, "loss": one.loss(norm), **PROOF(norm)}
@@ -155,14 +162,14 @@ RECORD = Record[Cost](
 )
 
 
-POINTS = 60  # of a curve
-HIGHEST = 1.5  # times the continuous norm: a loop that is nearly lost has no other end
+POINTS = 60  # number of points of a curve
+HIGHEST = 1.5  # largest norm in the figure, as a multiple of the continuous norm; norms near the stability limit are unlimited
 MOST_TICKS = 9
 PROMPT, LATE, DESIGNED_COLOUR, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
-    """Returns the sample periods of a curve [s], ascending: the requested ones, and others between them."""
+    """Returns the sample periods of a curve in ascending order [s]: the requested periods, and others between them."""
     between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
     return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
 
@@ -171,8 +178,9 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
     """Returns the figure of norms over the sample period.
 
     Args:
-        costs: cost of each controller, at `drawn_periods`.
-        periods: requested ones [s], which are marked.
+        vehicle: vehicle of the controllers, for the title.
+        costs: cost of each controller at `drawn_periods`.
+        periods: requested sample periods, which are marked [s].
     """
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: norm of the sampled-data loop over its sample period; a curve ends where the "
@@ -217,13 +225,13 @@ def _panel(one: Cost, periods: Sequence[float]) -> Panel:
 
 
 def _norms(rates: Sequence[AtRate], kind: Kind) -> tuple[Array, Array]:
-    """Returns sample periods [ms] and norms, NaN for an unstable loop."""
+    """Returns sample periods [ms] and norms; the norm of an unstable loop is NaN."""
     norms = [norm.value for at in rates if (norm := kind(at)) is not None]
     return np.array([1e3 * at.period for at in rates]), np.where(np.isfinite(norms), norms, np.nan)
 
 
 def _shown_range(one: Cost) -> tuple[float, float]:
-    """The range that is shown."""
+    """Returns the lower and upper limit of the norms that the figure shows."""
     norms = [norm.value for at in one.rates for norm in (at.undelayed_norm, at.delayed_norm) if norm.stable]
     known = [value for value in (one.ideal, one.lower_bound) if value is not None and math.isfinite(value)]
     if not norms:

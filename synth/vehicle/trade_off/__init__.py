@@ -1,1 +1,1 @@
-"""Trade-offs: designs along a front, what bounds them, and their picture."""
+"""Trade-offs: designs along a Pareto front, lower bounds on the front, and figures."""

@@ -1,4 +1,4 @@
-"""Axes of a trade-off, each a proved norm to be minimised, and their landscapes."""
+"""Axes of a trade-off and their landscapes. Each axis is a norm that is minimised and proved."""
 
 import re
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.numerics import numerics
 from synth.vehicle.multi_objective import with_outputs_of_norm
 
-BAND = (4.0, 8.0)  # Hz, where people feel it
-OFF = 0.1  # of a reading
-LOWEST, HIGHEST = 1e-3, 1e3  # Hz, of a band
-FEWEST, MOST = 2, 3
+BAND = (4.0, 8.0)  # default frequency band [Hz], in which people are most sensitive to vertical acceleration
+OFF = 0.1  # default relative error of each measurement
+LOWEST, HIGHEST = 1e-3, 1e3  # limits of a frequency band [Hz]
+FEWEST, MOST = 2, 3  # numbers of axes
 ACCELERATIONS = ("m/s2", "rad/s2")
 AXES = ("ride", "travel", "road_holding", "force", "band", "tolerance")
 DEFLECTIONS = {"travel": "suspension_deflection", "road_holding": "tyre_deflection"}
@@ -34,13 +34,13 @@ NUMBER = r"\d+(?:\.\d*)?"
 
 @dataclass(frozen=True, eq=False)
 class FrontAxis:
-    """An axis of a trade-off.
+    """Axis of a trade-off.
 
     Attributes:
         name: ride, travel, road_holding, force, band or tolerance.
-        norm: norm of the axis, with its signals and band.
-        off: relative error of each reading; then the axis is the worst norm.
-        meaning: description on one line.
+        norm: norm of the axis, with its signals and frequency band.
+        off: relative error of each measurement. If it is not zero, the axis is the worst norm for such errors.
+        meaning: one-line description.
         unit: unit of the norm, per m/s of road velocity.
     """
 
@@ -52,20 +52,20 @@ class FrontAxis:
 
     @property
     def label(self) -> str:
-        """At an axis of a picture."""
+        """Label of the axis in a figure."""
         return f"{self.name.replace('_', ' ')} [{self.unit}]" if self.unit else self.name.replace("_", " ")
 
 
 def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
-    """Returns the axes of a text like `ride:travel` or `band=4-8:travel:force`.
+    """Returns the axes for a text such as `ride:travel` or `band=4-8:travel:force`.
 
     Raises:
-        InputError: the number of axes is wrong, or one is repeated, unknown, or without signals on this vehicle.
+        InputError: the number of axes is wrong, or an axis is repeated, unknown, or without signals in this vehicle.
     """
     parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
-            f"--front {short_repr(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
+            f"--front {short_repr(text)} has {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
             f"{list_names(AXES)}, separated by colons, such as ride:travel"
         )
     axes: list[FrontAxis] = []
@@ -74,7 +74,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
         if name not in AXES:
             raise InputError(f"--front: there is no axis {short_repr(name)}; give two or three of {list_names(AXES)}")
         if any(axis.name == name for axis in axes):
-            raise InputError(f"--front names {name} twice; give each axis once")
+            raise InputError(f"--front contains {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
             raise InputError(f"--front {part}: {name} takes no value; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
         axes.append(_axis(vehicle, name, given if equals else None))
@@ -82,7 +82,7 @@ def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
 
 
 def _axis(vehicle: Vehicle, name: str, given: str | None) -> FrontAxis:
-    """Returns the axis of a name, with the value that is given behind it, if any."""
+    """Returns the axis with this name, and with the value that follows its name in the text, if any."""
     if name == "tolerance":
         return _tolerance(vehicle, given)
     if name == "force":
@@ -116,7 +116,7 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
 
 
 def _edges(given: str) -> tuple[float, float]:
-    """A band [Hz] of a text like 4-8."""
+    """Returns the band [Hz] for a text such as 4-8."""
     match = re.fullmatch(f"({NUMBER})-({NUMBER})", given)
     low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
@@ -139,7 +139,7 @@ def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
 
 
 def _signals_with_prefix(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
-    """The signals whose names begin so, all of weight 1."""
+    """Returns the signals whose names begin with `stem`, each with the weight 1."""
     weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
     if not weights:
         raise InputError(f"--front {axis} needs signals called {stem}, but this vehicle has none; omit {axis}")
@@ -152,21 +152,21 @@ def _weight_text(signals: Mapping[str, float]) -> str:
 
 
 def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
-    """Returns the unit of a norm of accelerations, or "weighed" if weights or units differ."""
+    """Returns the unit of a norm of accelerations; if weights or units differ, a text that says weighted."""
     units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
     return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighted, per m/s"
 
 
-MOST_READINGS = 4  # with errors: all their corners count
+MOST_READINGS = 4  # largest number of measurements for an axis with errors, because all corners of the errors are used
 
 
 @dataclass(frozen=True)
 class AxisValue:
-    """A law on one axis.
+    """Value of a law on one axis.
 
     Attributes:
-        value: the norm.
-        proved: upper bound that is proved.
+        value: norm of the axis.
+        proved: proved upper bound on the norm.
         at: frequency at which the norm is attained [rad/s]; NaN for a norm with errors.
     """
 
@@ -177,7 +177,7 @@ class AxisValue:
 
 @numerics()
 def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
-    """A law on an axis; infinite where its loop, or one with errors, is unstable."""
+    """Returns the value of a law on an axis; infinite if its loop, or a loop with errors, is unstable."""
     problem = _axis_problem(vehicle, axis, entry)
     if axis.off and len(entry.measured):
         worst = worst_norm(problem.plant, None, law, axis.off)
@@ -194,10 +194,16 @@ def _axis_problem(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> 
 
 
 def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
-    """Returns one norm landscape per vertex of an axis' errors, with the points of `like`. The axis is their largest norm.
+    """Returns one norm landscape for each combination of extreme measurement errors. The axis is the largest of their norms.
+
+    Args:
+        vehicle: vehicle of the trade-off.
+        axis: axis of the trade-off.
+        entry: controller's section.
+        like: landscape whose coordinates are used.
 
     Raises:
-        InputError: the errors have too many vertices.
+        InputError: there are too many combinations of errors.
     """
     plant, (m, q) = _axis_problem(vehicle, axis, entry).plant, like.shape
     off = (GainErrors(errors, np.zeros(m)).on(plant) for errors in _corners(axis, q))
@@ -205,7 +211,7 @@ def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: 
 
 
 def _corners(axis: FrontAxis, readings: int) -> list[Array]:
-    """The errors of readings that an axis is judged with, none first."""
+    """Returns the combinations of measurement errors for which an axis is evaluated. The first combination has no errors."""
     if not axis.off:
         return [np.zeros(readings)]
     if readings > MOST_READINGS:

@@ -1,8 +1,9 @@
-"""Designs along a front: from its ends, over rays between them, each from the nearest that is known (continuation).
+"""Designs along a trade-off front by continuation: from the ends of the front, along rays between them.
 
-A ray belongs to a point u of the plane through the ends: on it lies what minimises the largest of v_k / u_k, v the norms of the
-axes (Chebyshev's scalarisation). Convex or not, every point of the front lies on one. The descent is that of goals; it begins at
-the point, of all that were met, that is best for the ray, so that it is short.
+A ray is given by a point u of the plane through the ends. Its design minimises the largest v_k / u_k, where v_k are the norms
+of the axes (Chebyshev's scalarisation). Every point of the front lies on a ray, whether the front is convex or not. Each
+descent is that of a design for goals. A descent starts at the known design that is best for the ray, so that the descent is
+short.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,23 +19,23 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.plant.numerics import DesignError
 
-GROWTH = 5.0  # times the largest entry of the first start: how far gains go where no bound of theirs says
-NEARLY = 1e-3  # relative: how far beyond the least of an axis its end lies, for what that buys on the others
-TIGHTER = 1e-7  # and how much closer that is drawn, for rounding
-SETTLED_STEP = 1e-7  # relative: a step that promises less ends a descent
-ROUNDS = 60
-TIMES = 6  # descents to an end, each from where the last one ended
-NOTHING = 1e-9  # of an axis' norm elsewhere: what is less is zero
+GROWTH = 5.0  # largest gain entry, as a multiple of the largest entry of the first start, if no bound limits the gain
+NEARLY = 1e-3  # relative distance of an end from the smallest value of its axis, which may reduce the other axes
+TIGHTER = 1e-7  # relative tightening of this distance, to allow for rounding
+SETTLED_STEP = 1e-7  # predicted relative decrease below which a descent ends
+ROUNDS = 60  # largest number of rounds of a descent
+TIMES = 6  # largest number of descents to an end; each starts where the previous one ended
+NOTHING = 1e-9  # value of an axis, relative to its values elsewhere, that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedGain:
-    """An evaluated gain.
+    """Gain with its values on all axes.
 
     Attributes:
-        x: point of the landscape.
-        values: norms of the axes, shape (K,).
-        excess: excess over the worst bound, relative; see `Evaluation`.
+        x: point of the landscape that represents the gain.
+        values: norms of the K axes, shape (K,).
+        excess: relative excess over the worst bound; see `Evaluation`.
     """
 
     x: Array
@@ -43,20 +44,22 @@ class EvaluatedGain:
 
 
 class FrontContinuation:
-    """The continuation of the front of one problem.
+    """Continuation along the front of one problem.
 
     Attributes:
-        met: every stable start and end of a descent with finite values.
+        met: all stable gains with finite values that were evaluated at the start or the end of a descent.
     """
 
     def __init__(self, search: MinimaxSearch, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
-        """Args:
-        search: the search with bounds, structure and starts; its goal does not count.
-        axes: landscapes for each axis, whose largest norm is its value.
-        starts: gains, shape (m, q) each.
+        """Evaluates the starting points of the continuation.
+
+        Args:
+            search: search with bounds, structure and starts; its goal is not used.
+            axes: landscapes of each axis. The largest of their norms is the value of the axis.
+            starts: starting gains, shape (m, q) each.
 
         Raises:
-            DesignError: no start makes the loop stable, or keeps the bounds.
+            DesignError: no starting gain stabilises the loop or satisfies the bounds.
         """
         self.search, self.axes, self.met = search, axes, list[EvaluatedGain]()
         points = search.points(starts)
@@ -89,21 +92,24 @@ class FrontContinuation:
         return self.met[-1]
 
     def gain(self, evaluated: EvaluatedGain) -> Array:
-        """K, shape (m, q)."""
+        """Returns the gain K, shape (m, q)."""
         return self.search.full.gain(evaluated.x)
 
     def ends(self) -> Array:
-        """The norms at the end of every axis, shape (K, K): a row an end, where its axis is within a thousandth of its least."""
+        """Returns the norms at the ends of the front, shape (K, K).
+
+        Row k is the end at which axis k is within 0.1 % of its smallest value.
+        """
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
     def step_along(self, unit: Array) -> EvaluatedGain:
-        """Returns the best design on the ray through a point `unit` without negative entries, shape (K,)."""
+        """Returns the best design on the ray through a point `unit` with no negative entry, shape (K,)."""
         unit = np.maximum(unit, NOTHING * np.max([each.values for each in self.met], axis=0))
         start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
         return self._descend(start, {k: float(unit[k]) for k in range(len(unit))}, {})
 
     def _end(self, k: int) -> EvaluatedGain:
-        """Returns the end of the front on an axis."""
+        """Returns the end of the front at which axis k is smallest."""
         start = min((each for each in self.met if each.excess <= BOUND_TOLERANCE), key=lambda each: float(each.values[k]))
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
@@ -128,7 +134,11 @@ class FrontContinuation:
         return start
 
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
-        """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
+        """Runs a descent on the largest of some axes, each in its own unit, with bounds on others.
+
+        Returns:
+            The end of the descent; `start` if the loop at the end is unstable.
+        """
         terms = {k: [NormTerm(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
         bounding = [NormTerm(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         minimax = self.search.minimax
@@ -138,11 +148,11 @@ class FrontContinuation:
 
 
 def rays(ends: Array, count: int) -> Iterator[Array]:
-    """Yields about `count` points of the plane through the ends, neighbours one after another.
+    """Yields about `count` points of the plane through the ends, in an order in which successive points are neighbours.
 
     Args:
-        ends: shape (K, K), K two or three.
-        count: number of points; for three ends, that of the nearest lattice.
+        ends: norms at the ends, shape (K, K), where K is 2 or 3.
+        count: number of points; for three ends, the nearest number that forms a triangular lattice.
     """
     if len(ends) == 2:
         for share in np.linspace(0, 1, count):
@@ -156,7 +166,7 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
 
 
 def rays_of(axes: int, count: int) -> int:
-    """Returns the number of rays between the axes, near the requested count."""
+    """Returns the number of rays between two or three axes that is near the requested count."""
     return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
 
 
@@ -166,10 +176,14 @@ def _sides(count: int) -> int:
 
 
 def undominated_rows(values: Array) -> Array:
-    """Returns a mask of the undominated rows of shape (N, K), and the first of equal ones, shape (N,)."""
+    """Returns a mask of the rows that no other row dominates, shape (N,); of equal rows, only the first counts.
+
+    Args:
+        values: values of N designs on K axes, shape (N, K).
+    """
     if not len(values):
         return np.zeros(0, dtype=bool)
-    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # i than j
+    no_worse = np.all(values[:, None] <= values[None], axis=-1)  # True if row i is at most row j on all axes
     alike = no_worse & no_worse.T
     better = (no_worse & ~alike) | (alike & (np.arange(len(values))[:, None] < np.arange(len(values))))
     return ~np.any(better, axis=0)

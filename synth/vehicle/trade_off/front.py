@@ -1,4 +1,4 @@
-"""The trade-off of a vehicle between some axes: certified designs on its front, lower bounds, and other controllers."""
+"""Trade-off of a vehicle between two or three axes: certified designs on its front, lower bounds, and other controllers."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -30,19 +30,19 @@ from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuatio
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits
 from synth.vehicle.verification import Verification
 
-DESIGNS = 200
-SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
-MARKED_POINTS = 9  # points that stand for all
+DESIGNS = 200  # default number of designs
+SLOWER = 0.1  # smallest decay rate of a design, relative to that of the first starting gain, if the goals give no bound
+MARKED_POINTS = 9  # number of representative points
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A design on the front, or another controller beside it.
+    """Design on the front, or another controller for comparison.
 
     Attributes:
         controller: controller with its certificate for `[performance]`.
-        norms: norms of the point, one for each axis.
-        travel: the largest suspension deflection over the paper's bump [m]; None if not requested, or without suspension.
+        norms: values on the axes.
+        travel: largest suspension deflection over the paper's bump [m]; None if it is not requested, or without suspension.
     """
 
     controller: Controller
@@ -51,24 +51,24 @@ class Point:
 
     @property
     def values(self) -> list[float]:
-        """Values of the norms."""
+        """Norms on the axes."""
         return [norm.value for norm in self.norms]
 
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """A trade-off.
+    """Trade-off of a vehicle.
 
     Attributes:
-        vehicle: the vehicle.
-        name: controller whose measurements, bounds and structure the designs have.
+        vehicle: vehicle of the trade-off.
+        name: name of the controller whose measurements, bounds and structure the designs use.
         axes: axes of the trade-off.
-        points: designs that no other beats in all axes, ascending on the first axis.
-        others: other controllers of the vehicle file.
-        missing: controllers that are omitted, each with the reason.
-        limits: lower-bound curves of every two axes.
-        design_count: number of designs tried.
-        unproved: controllers of `missing` that are omitted because a claim fails.
+        points: designs that no other design dominates, in ascending order of the first axis.
+        others: other controllers of the vehicle file, for comparison.
+        missing: names of controllers that are omitted, each with the reason.
+        limits: lower-bound curves for all pairs of axes.
+        design_count: number of designs that were tried.
+        unproved: number of designs that are omitted because a claim is not proved.
     """
 
     vehicle: Vehicle
@@ -83,12 +83,12 @@ class Front:
 
     @property
     def values(self) -> Array:
-        """Norms of the points, shape (N, K)."""
+        """Norms of the N points on the K axes, shape (N, K)."""
         return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
 
     @property
     def marked(self) -> list[int]:
-        """The points that stand for all, by index."""
+        """Indices of the representative points."""
         return marked_indices(len(self.points))
 
 
@@ -101,17 +101,20 @@ def front(
     count: int = DESIGNS,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> Front:
-    """Returns the front of a controller's static gains.
+    """Computes the trade-off front of static gains with the measurements of a controller.
 
     Args:
-        name: controller with the measurements of the designs; bounds and structure of its goals are kept.
-        axes: two or three.
-        others: names of controllers that are shown beside it.
+        vehicle: vehicle of the trade-off.
+        name: name of the controller whose measurements, bounds and structure the designs use.
+        axes: two or three axes.
+        others: names of controllers that are shown for comparison.
+        count: approximate number of designs.
         on_progress: callback that receives the number of finished designs.
 
     Raises:
-        InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
-        DesignError: none of the gains keeps the bounds.
+        InputError: designs cannot be based on this controller (see `entry_of`), or it has too many measurements for an axis
+            with errors.
+        DesignError: no gain satisfies the bounds.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
@@ -147,10 +150,10 @@ def front(
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
-    """The section of a controller that designs of a front can be like.
+    """Returns the section of a controller on which the designs of a front are based.
 
     Raises:
-        InputError: the designs of a front cannot have such a section.
+        InputError: the designs of a front cannot be based on this section.
     """
     if name == "state":
         return ControllerEntry(name, vehicle.linear_model.states)
@@ -167,7 +170,7 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
 
 
 def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Point]) -> Iterator[tuple[int, float]]:
-    """The marked points' travel over the paper's bump, by index."""
+    """Yields the index of each representative point and its largest suspension deflection over the paper's bump [m]."""
     signals = [name for name in vehicle.linear_model.outputs if name.startswith("suspension_deflection")]
     if not signals:
         return
@@ -178,17 +181,17 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
 
 
 def marked_indices(count: int) -> list[int]:
-    """Returns the indices of representative points, evenly from the first to the last."""
+    """Returns the indices of representative points, evenly spaced from the first to the last."""
     return sorted({round(i) for i in np.linspace(0, count - 1, MARKED_POINTS)}) if count else []
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
-    """Returns the continuation that searches the designs."""
+    """Returns the continuation that searches for the designs."""
     problem = goal_problem(vehicle, entry, entry.goals or Goals())
     plant_problem, starts = problem.members[0].plants[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
-    with contextlib.suppress(InputError):  # a DesignError is one
+    with contextlib.suppress(InputError):  # includes DesignError
         starts.append(plant_problem.on_readings(two_step_design(plant_problem).gain))
     if problem.decay is None and starts:
         decay = -float(
@@ -204,7 +207,10 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) 
 def _others(
     designer: Designer, axes: Sequence[FrontAxis], names: Sequence[str], loads: Sequence[tuple[str, float]]
 ) -> Iterator[tuple[str, Point | str]]:
-    """Other controllers on the axes, under the loads of the designs, by name, or why they are not there."""
+    """Yields the name of each other controller, and its values on the axes for the loads of the designs.
+
+    For a controller that is omitted, the second value is the reason.
+    """
     for name in names:
         try:
             controller = designer.design(name)
@@ -222,7 +228,7 @@ def _others(
 def _limits(
     vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]
 ) -> Iterator[LowerBoundCurve]:
-    """Yields the lower bound of every two axes."""
+    """Returns the lower-bound curves for all pairs of axes."""
     plants: list[Plant] = [generalized_plant(with_outputs_of_norm(vehicle, axis.norm), loads=loads) for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))
     return limits(plants, [axis.norm.rates for axis in axes], np.where(units > 0, units, 1.0))

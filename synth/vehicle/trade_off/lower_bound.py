@@ -1,12 +1,14 @@
-"""Joint lower bounds on two norms, proved for all controllers, even those that know the whole state and the road.
+"""Joint lower bounds on two norms, proved for all controllers, even those that measure the whole state and the road.
 
-For any controller the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
-the norms of the parts. So a lower bound g on the stacked norm, for some weights, keeps every controller out of the ellipse
+For any controller, the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
+the norms of z_i and z_j. Let g be a lower bound on the norm of the stack for some weights a and b. No controller therefore lies
+in the ellipse
 
-    a^2 v_i^2 + b^2 v_j^2 < g^2,
+    a^2 v_i^2 + b^2 v_j^2 < g^2.
 
-and many weights draw a line. What no control force changes at one frequency of a band holds for a norm in that band, too. Powers
-of two as weights leave the numbers of the plant as they are, so that the proofs, which are exact, are of them.
+Many weights together give a curve. If no control force changes a direction of z at one frequency of a band, the bound also
+holds for a norm in this band. The weights are powers of two, so that the numbers of the plant are not rounded. The proofs,
+which are exact, then apply to the plant itself.
 """
 
 import contextlib
@@ -23,18 +25,18 @@ from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import Plant
 from synth.plant.numerics import DesignError, numerics
 
-RATIOS = range(-9, 10)  # powers of two: of one axis' weight to the other's, in units of their own
-IN_BAND = 24  # frequencies
-DOWN = 1 - 1e-12  # of a norm that a line is drawn through: for the rounding of the line itself
+RATIOS = range(-9, 10)  # exponents of two: ratios of the two weights, each in units of its axis
+IN_BAND = 24  # number of frequencies at which a bound in a band is computed
+DOWN = 1 - 1e-12  # factor on the bound, to allow for rounding of the curve
 
 
 @dataclass(frozen=True, eq=False)
 class LowerBoundCurve:
-    """The lower bound on two axes.
+    """Lower-bound curve for a pair of axes.
 
     Attributes:
-        axes: indices of the axes.
-        weights: weights of both axes in a stacked z, shape (M, 2).
+        axes: indices of the two axes.
+        weights: weights of both outputs in M stacked outputs, shape (M, 2).
         norms: lower bounds on the norm of each stack, shape (M,).
     """
 
@@ -43,7 +45,7 @@ class LowerBoundCurve:
     norms: Array
 
     def lower_bound_on_second(self, first: Array) -> Array:
-        """Returns the lower bound on the second axis for values of the first, shape (N,); NaN for impossible values."""
+        """Returns the lower bound on the second axis for N values of the first axis, shape (N,); NaN for impossible values."""
         with np.errstate(all="ignore"):
             left = (self.norms**2)[:, None] - (self.weights[:, :1] * first) ** 2
             of = np.where(self.weights[:, 1:] > 0, np.sqrt(np.maximum(left, 0.0)) / self.weights[:, 1:], 0.0)
@@ -51,19 +53,23 @@ class LowerBoundCurve:
         return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
 
     def share(self, values: Array) -> Array:
-        """Returns the scale of points, shape (N, 2), relative to the bound, shape (N,): 1 on the line, more beyond it."""
+        """Returns the position of N points relative to the curve, shape (N,): 1 on the curve, above 1 beyond it.
+
+        Args:
+            values: values of the points on both axes, shape (N, 2).
+        """
         reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)
         with np.errstate(all="ignore"):
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
 def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
-    """Yields the bounds of every two axes.
+    """Yields the lower-bound curves for all pairs of axes.
 
     Args:
-        plants: plant of each axis; only z differs.
-        bands: band of each axis [rad/s].
-        units: unit of each axis, about the size of its norms, shape (K,).
+        plants: plant of each axis; the plants differ only in z.
+        bands: frequency band of each axis [rad/s].
+        units: typical size of the norms on each axis, shape (K,).
     """
     return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
 
@@ -72,7 +78,7 @@ def limits(plants: list[Plant], bands: list[Band], units: Array) -> Iterator[Low
 def _limit(plants: list[Plant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
-    norms = np.zeros(len(weights))  # 0 if no bound is found
+    norms = np.zeros(len(weights))  # stays 0 if no bound is found
     for i, weight in enumerate(weights):
         kept = [(plants[k], bands[k], own) for k, own in zip(pair, weight, strict=True) if own > 0]
         stack = replace(

@@ -1,4 +1,4 @@
-"""Output of a trade-off: text, JSON, CSV and a picture."""
+"""Output of a trade-off as text, JSON, CSV and a figure."""
 
 import math
 from operator import itemgetter
@@ -31,11 +31,15 @@ Row = tuple[str, Point, Array | None, str]  # name, point, values in MuJoCo, and
 
 
 def describe(front: Front, measured: Array | None = None, most: int = MARKED_POINTS) -> Document:
-    """Returns the front as a document: what it spans, whom it beats, some of its points, and how near they are to the limits.
+    """Returns the front as a document.
+
+    The document contains the ranges of the front, the comparison with other controllers, some points, and their distance from
+    the lower bounds.
 
     Args:
-        measured: values of the marked points in MuJoCo, shape (M, K), NaN for missing ones; None without runs.
-        most: number of marked points in the table.
+        front: front to describe.
+        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None without simulations.
+        most: largest number of representative points in the table.
     """
     shown = dict.fromkeys(round(i) for i in np.linspace(0, len(front.marked) - 1, min(most, len(front.marked))))
     others = {one.controller.name: one for one in front.others}
@@ -43,7 +47,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
     for k in shown:
         i = front.marked[k]
         rows.append((str(i + 1), front.points[i], None if measured is None else measured[k], _gain(front.points[i])))
-    if measured is None:  # no run has values for the others
+    if measured is None:  # simulations contain no values for the other controllers
         rows += [(name, others[name], None, "-") for name in without_copies(others)]
     fields: list[Field[Row]] = [Field("point", lambda row: row[0])]
     for k, axis in enumerate(front.axes):
@@ -72,7 +76,7 @@ def describe(front: Front, measured: Array | None = None, most: int = MARKED_POI
 
 
 def _results(front: Front) -> list[str]:
-    """Returns the range of the front on each axis, and how many designs are better than each other controller in all axes."""
+    """Returns texts: the range of the front on each axis, and the number of designs that dominate each other controller."""
     columns = zip(front.axes, front.values.T, strict=True)
     ends = ", ".join(f"{axis.name} from {VALUE.digits(values.min())} to {VALUE.digits(values.max())}" for axis, values in columns)
     beaten = {}
@@ -98,7 +102,7 @@ DESIGN = Record[Point](Record(measured="controller.measured", gain="controller.g
 
 
 def _design(front: Front, point: Point, /, **named: Any) -> dict[str, Any]:
-    """Returns a design for JSON, with its norm on every axis, after some values."""
+    """Returns a design as JSON: the given values first, then its norms on every axis and its gain."""
     axes = zip(front.axes, point.norms, strict=True)
     return {**named, "values": {axis.name: CLAIM(norm) for axis, norm in axes}, **DESIGN(point)}
 
@@ -120,7 +124,10 @@ RECORD = Record[Front](
 
 
 def write_csv(front: Front, path: Path) -> None:
-    """Writes a row for each point and each other controller, SI units. Unknown numbers and others' gains are empty."""
+    """Writes a CSV file in SI units with a row for each point and each other controller.
+
+    Unknown numbers, and the gains of other controllers, are empty.
+    """
     names, (m, q) = [axis.name for axis in front.axes], front.points[0].controller.gain.shape
     entries = [f"gain_{i + 1}_{j + 1}" for i in range(m) for j in range(q)]
     rows: list[list[Any]] = [["point", *names, *(f"{name}_proved" for name in names), *(one.key for one in NUMBERS), *entries]]
@@ -133,7 +140,7 @@ def write_csv(front: Front, path: Path) -> None:
 
 
 def _limit_texts(front: Front) -> list[str]:
-    """Returns the distance of the front from the lower bound, a sentence for every two axes."""
+    """Returns a sentence for each pair of axes about the distance of the front from the lower bound."""
     texts = []
     for limit in front.limits:
         first, second = (front.axes[k].name for k in limit.axes)
@@ -146,23 +153,24 @@ def _limit_texts(front: Front) -> list[str]:
 
 
 def _gain(point: Point) -> str:
-    """All entries where they fit on a line."""
+    """Returns a text of all entries of the gain if they fit on a line; otherwise their number."""
     entries = point.controller.gain.ravel()
     return " ".join(map(entry, entries)) if len(entries) <= 4 else f"{len(entries)} entries"
 
 
-WIDER = 0.06  # of what is shown, around it
-BESIDE = 1.5  # times the front's own range: other controllers further off are named, not shown
-SAME = 0.005  # of what is shown: what is nearer to one another has one mark
-FINE = 400  # points of the line, each way
+WIDER = 0.06  # margin of a panel around the points, relative to their range
+BESIDE = 1.5  # distance from the front, relative to its range, beyond which other controllers are listed instead of drawn
+SAME = 0.005  # distance, relative to the range of a panel, below which controllers share one mark
+FINE = 400  # number of points of the curve in each direction
 DESIGNS, LINE, MEASURED = BLUE, BLACK, VERMILLION
 
 
 def front_figure(front: Front, measured: Array | None = None) -> Figure:
-    """Returns the figure of a front.
+    """Returns the figure of a front, with a panel for each pair of axes.
 
     Args:
-        measured: values of the marked points in MuJoCo, shape (M, K), NaN for missing ones; None without runs.
+        front: front to draw.
+        measured: values of the M representative points in MuJoCo, shape (M, K), NaN if missing; None without simulations.
     """
     panels = tuple(_panel(front, limit, measured) for limit in front.limits)
     kind = front.vehicle.kind.name.replace("_", " ")
@@ -171,7 +179,7 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
 
 
 def line(limit: LowerBoundCurve, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
-    """Returns the curve of the lower bound within ranges of both axes, from the upper left to the lower right."""
+    """Returns the lower-bound curve within ranges of both axes, from the upper left to the lower right."""
     first, second = np.linspace(*x, FINE), np.linspace(*y, FINE)
     turned = LowerBoundCurve((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
     a, b = np.append(first, turned.lower_bound_on_second(second)), np.append(limit.lower_bound_on_second(first), second)
@@ -195,7 +203,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     for names in _together(others, beyond, ranges):
         (x, y), text, (color, _, marker) = np.array(others[names[0]])[:, None], ", ".join(names), look[names[0]]
         curves.append(Curve(x, y, text, color, "none", marker, name=f"controller {text}"))
-    # Several wheels that meet one road need not reach the norm; such a point would seem to cross the line.
+    # If several wheels follow one road, MuJoCo need not reach the norm. Its points would then seem to cross the bound.
     alone = len(front.vehicle.kind.wheels) == 1
     if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         label = "MuJoCo on one sinusoid, which approaches the norm from below"
@@ -214,7 +222,7 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
 def _together(
     others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[list[str]]:
-    """The names of those that are shown, such that lie in one place together."""
+    """Returns the names of the controllers that are drawn, grouped by position."""
     size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
         near = [names for names in groups if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size)]
@@ -226,7 +234,7 @@ def _together(
 
 
 def _shown_range(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:
-    """The range of both axes, and which of the other controllers lie beyond it, shape (N,)."""
+    """Returns the ranges of both axes, and a mask of the other controllers outside these ranges, shape (N,)."""
     low, high = values.min(axis=0), values.max(axis=0)
     size = np.where(high > low, high - low, np.where(high > 0, high, 1.0))
     beyond = np.any((others > high + BESIDE * size) | (others < low - BESIDE * size), axis=1)
