@@ -28,7 +28,7 @@ LARGEST_BOUNDED = 20
 
 
 def choose(problem: DesignProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns two lists of methods for a problem: those to try until one succeeds, and those that then continue from its result."""
+    """Returns the methods to try until one succeeds, and the methods that then continue from its result."""
     if problem.method:
         return (problem.method,), ()
     if problem.errors is not None:
