@@ -1,4 +1,4 @@
-"""`python -m sim.drive`: controllers over one road of any kind, in MuJoCo and in linear analysis, compared and measured."""
+"""The command `python -m sim.drive`: drives controllers over a road, compares with linear analysis, and measures the ride."""
 
 if __name__ == "__main__":
     from models.common.cli import run
@@ -32,7 +32,7 @@ examples:
 
 
 def parser() -> Parser:
-    """The options."""
+    """Returns the parser of the command's options."""
     parser = Parser(
         "sim.drive",
         "Drive over a road in MuJoCo and in linear analysis, compare the responses, measure the ride, and record it.",
@@ -53,7 +53,7 @@ def parser() -> Parser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit code.
+    """Runs the command and returns its exit code.
 
     Raises:
         InputError: bad options, vehicle file, road or logs folder.

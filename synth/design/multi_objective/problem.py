@@ -96,8 +96,7 @@ class FamilyMember(CheckedFields):
 
 @dataclass(frozen=True, eq=False)
 class GainErrors(CheckedFields):
-    """Relative gain errors of sensors and actuators: the controller receives (1 + sensors) y, and (1 + forces) u acts on the
-    plant.
+    """Relative gain errors: the controller receives (1 + sensors) y, and the forces (1 + forces) u act on the plant.
 
     Attributes:
         sensors: relative error of each measurement, shape (q,).

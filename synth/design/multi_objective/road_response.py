@@ -216,9 +216,7 @@ class RoadResponse:
         return states, ends
 
     def signal(self, A: Array, c: Array, motion: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        """Returns a loop's signal and its slope at all times, shapes (T,), and the signal at the ends of all intervals, shape
-        (P,).
-        """
+        """Returns a loop's signal and slope at all times, shapes (T,), and its signal at the ends of intervals, shape (P,)."""
         states, ends = motion
         driven = self.driven
         Bw = driven.plant.Bw

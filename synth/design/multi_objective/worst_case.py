@@ -94,8 +94,7 @@ class WorstCaseErrors:
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest real part of the poles that the gain can move [rad/s], over vertices and inner points, and its
-        errors.
+        """Returns the largest real part of the poles that the gain can move [rad/s], over all points tried, and its errors.
 
         It is infinite if a loop has no solution. For a discrete plant, the poles are those of its continuous image.
         """
