@@ -46,9 +46,7 @@ class RunEnd:
 
     @property
     def broke_off(self) -> str | None:
-        """Event after which all results are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; None if there is no such
-        event.
-        """
+        """Event after which all results are meaningless: a flat tyre, `DIVERGENCE` or `LAW_OVERFLOW`; otherwise None."""
         if self.flat < self.diverged:
             return FLAT.name
         return None if math.isinf(self.diverged) else LAW_OVERFLOW if self.law_diverged else DIVERGENCE
