@@ -14,7 +14,7 @@ from sim.command.road_options import add_road, add_run_options, add_start, add_v
 EPILOG = """
 exit code: 0 MuJoCo and linear analysis agree for every controller, every closed loop is stable, and the energy balances; 1 they
 disagree, a loop is unstable (not with --allow-unstable), or a controller cannot be designed; 2 invalid input. A run that diverges
-or fully compresses a tyre ends there, without metrics.
+or fully compresses a tyre ends early, and has no metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20
@@ -46,7 +46,11 @@ def parser() -> Parser:
         "--band", 2.0, "percent", "half-width of the settling band for --road step, relative to the step or to a signal's peak"
     )
     parser.add_number(
-        "--settle", None, "s", "beginning of a random road that is not measured", "until all controllers have settled"
+        "--settle",
+        None,
+        "s",
+        "time at the start of a random road without metrics",
+        "until all controllers have settled",
     )
     add_run_options(parser, 20.0)
     return parser

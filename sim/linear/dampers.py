@@ -26,7 +26,7 @@ def stretching_rates(vehicle: Vehicle) -> Array:
         if force in vehicle.dampers:
             at = model.states.index(vehicle.kind.deflection_of(force))
             if np.any(model.B[at]) or np.any(model.jump[at]) or np.any(model.Br[at]):
-                raise ValueError(f"the rate of {model.states[at]} has a force or the road in it")
+                raise ValueError(f"the rate of {model.states[at]} depends directly on a force or on the road")
             row = vehicle.motion_ratios[force] * model.A[at]
         rows.append(row)
     return np.stack(rows)

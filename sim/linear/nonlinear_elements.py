@@ -22,7 +22,7 @@ def at_rest_words(vehicle: Vehicle) -> str:
     """Describes the elements that the linearised vehicle replaces, as text; empty if there are none."""
     bent, phrases = bent_at_rest(vehicle), []
     if vehicle.dampers:
-        phrases.append("force actuators instead of the adjustable dampers, so that every requested force acts")
+        phrases.append("force actuators instead of the semi-active dampers, so that every requested force acts")
     if bent:
         whose = " and ".join(name.replace("_", " ") for name in bent)
         phrases.append(f"straight lines instead of the characteristics of {whose}, which have a kink at equilibrium")

@@ -206,7 +206,9 @@ def _pulls(
         rates = motion.rate(state, heights, inputs, lambda d, v: pulls(d, v) + more, loads)
         motion.rate(state + STEP * 1j * rates, heights, inputs, along, loads)
         if not np.iscomplexobj(seen[-1][1]):
-            raise InputError("motion of this vehicle type drops the imaginary part of states; an inerter needs it, so keep it")
+            raise InputError(
+                "`motion` of this vehicle type discards the imaginary part of states, which an inerter needs; keep it"
+            )
         return np.imag(seen[-1][1]) / STEP
 
     free = change(0.0)

@@ -59,7 +59,7 @@ class CodeEffect:
         if self.share > MOST:
             lines.append(
                 f"DOES NOT AGREE: exported code changes {self.signal} by {DIFFERENCE.digits(self.share)} of its peak, "
-                f"but {MOST:g} is allowed; export the controller with finer numbers, or with smaller ranges"
+                f"but {MOST:g} is allowed; export the controller with a finer number format, or with smaller ranges"
             )
         return lines
 

@@ -96,9 +96,13 @@ def _of_curve(vehicle: Vehicle, one: "SuspensionPart") -> Diagram:
     return Diagram(
         f"{one.name.replace('_', ' ')}, {words}",
         f"{words} [{signal.unit}]",
-        _diagram_signal(what, "velocity" if damper else "deflection", ending, signal.unit, "positive where it is stretched"),
+        _diagram_signal(what, "velocity" if damper else "deflection", ending, signal.unit, "positive in extension"),
         _diagram_signal(
-            what, "force", ending, "N", "with its actuator's, positive where it pulls together" if damper else "its pull"
+            what,
+            "force",
+            ending,
+            "N",
+            "with its actuator's, positive in contraction" if damper else "positive in contraction",
         ),
         lambda response: response[signal.name],
         force,
@@ -130,8 +134,8 @@ def _of_adjustable(vehicle: Vehicle, one: "SettablePart") -> Diagram:
     return Diagram(
         f"adjustable damper{place}",
         f"{'suspension' if one.ratio == 1 else 'damper'} velocity{place} [m/s]",
-        _diagram_signal("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
-        _diagram_signal("damper", "force", one.ending, "N", "all that it pulls together with"),
+        _diagram_signal("damper", "velocity", one.ending, "m/s", "positive in extension"),
+        _diagram_signal("damper", "force", one.ending, "N", "total force, positive in contraction"),
         lambda response: (
             np.stack([response[name] for name in model.states], axis=-1)
             @ row
@@ -157,5 +161,5 @@ def _diagram_signal(what: str, quantity: str, ending: str, unit: str, meaning: s
 
 
 def _line(what: str, ending: str, label: str, dash: Dash, width: float, force: Callable[[Array], Array]) -> Line:
-    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at what was reached")
+    signal = _diagram_signal(what, f"force_{label.replace(' ', '_')}", ending, "N", f"force of its {label} at the actual motion")
     return Line(signal, label, dash, width, force)

@@ -251,7 +251,7 @@ def _design_sampled(problem: DesignProblem, plant: Plant, rms: Array, pieces: tu
     check_continuous(plant)
     if np.any(plant.Dyw):
         raise InputError(
-            f"{WHERE} Dyw has no effect between samples; with sample_period omit Dyw and give noise, one rms value for each"
+            f"{WHERE} Dyw has no effect between samples; with sample_period, omit Dyw and give noise, one rms value per signal"
         )
     from synth.design.static import bounded_work
 

@@ -304,7 +304,7 @@ def _static(problem: DesignProblem) -> DesignResult:
     levels = [problem.near * FAR ** (k + 1) for k in range(FURTHEST)]
     far, slow = next(((each, plant) for each in levels if (plant := held.at(each)) is not None), (levels[-1], None))
     if slow is None:
-        within = f"within {1000.0 * held.period:g} ms without a new force the gain from w is above {far:g}"
+        within = f"within one period of {1000.0 * held.period:g} ms, in which no new force acts, the gain from w exceeds {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
     rows, given = independent_rows(slow), np.hstack([held.plant.Cy, held.plant.Dyu])
     known, work = [from_some(law.D, given, rows) for law in problem.known], problem.work or bounded_work(held.plant)
@@ -406,7 +406,7 @@ def refined_further(held: SampledDataProblem, K: Array, near: float) -> Refineme
     before = norm_of(held, K, near)
     plant = held.at(before) if np.isfinite(before) else None
     if plant is None:
-        raise DesignError("a gain whose sampled loop is unstable, or has its norm within one period, cannot be refined")
+        raise DesignError("this gain cannot be refined: its sampled loop is unstable, or its norm arises within one period")
     rows = independent_rows(plant)
     few = held.of(rows)
     start = from_some(K, np.hstack([held.plant.Cy, held.plant.Dyu]), rows)

@@ -252,7 +252,7 @@ def full_order_design(
                 f"rad/s; the slowest loop found needs fastest_pole = {rough(trade[0].pole)}: give at least this value"
             )
         raise DesignError(
-            "no full-order controller was found whose loop is stable beyond rounding (tried: noise and cost from "
+            "no full-order controller was found whose loop is stable despite rounding (tried: noise and cost from "
             f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size); measure more signals, or use other units"
         )
 

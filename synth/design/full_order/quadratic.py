@@ -315,5 +315,5 @@ def _regulator(plant: Plant, more: Array, advice: str) -> Array:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"a Riccati equation has no stabilising solution: {advice}") from error
     if not is_stable(A + B @ K):
-        raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
+        raise DesignError(f"a Riccati equation has no solution that stabilises the loop despite rounding: {advice}")
     return each @ K

@@ -88,9 +88,9 @@ def goals_of_plants(where: str, section: Mapping[str, Any], plants: Sequence[Pla
     names = {"signals": dict.fromkeys(outputs, "1"), "corners": dict.fromkeys(forces, ""), "parameters": {}}
     goals = read(where, Goals, {**section, **family}, measured=measured, **names)
     if goals.tolerance != goals.goals.tolerance:
-        raise InputError(f"{where} tolerance with a weight needs a vehicle; give the largest relative error, as 0.1 for 10 %")
+        raise InputError(f"{where} a tolerance with a weight is for vehicles only; give a largest relative error (0.1 is 10 %)")
     if any(isinstance(bound, PeakBound) for bound in goals.bounds):
-        raise InputError(f"{where} bounds: a peak over a road needs a vehicle; bound an energy_peak or a norm")
+        raise InputError(f"{where} bounds: a peak over a road is for vehicles only; bound an energy_peak or a norm")
     norms = norms_of(goals)
     energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
     members = [
@@ -119,8 +119,8 @@ def _signal(where: str, plant: Plant, row: int, bound: EnergyBound) -> BoundedSi
     """Returns the row of z that is bounded for disturbances of a given energy."""
     if np.any(plant.Dw[row]) or np.any(plant.Dyw) or plant.dt is not None:
         raise InputError(
-            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, as w, noise or samples act on it directly; bound a "
-            "norm"
+            f"{where} bounds: energy_peak of {bound.energy_peak} is infinite, because w, noise or sampling acts on it directly; "
+            "bound a norm"
         )
     name = f"{bound.energy_peak} for w of energy {bound.energy:g} <= {bound.at_most:g}"
     return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

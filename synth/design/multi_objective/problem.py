@@ -165,7 +165,7 @@ class MultiObjectiveProblem(CheckedFields):
         for goal in (self.minimise, *self.norms):
             if goal.which >= fewest:
                 raise InputError(
-                    f"norm {goal.name!r} has which = {goal.which}, but a member has {fewest} plants posed; give a smaller index"
+                    f"norm {goal.name!r} has which = {goal.which}, but a member has only {fewest} plants; give a smaller index"
                 )
 
     @property
