@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def closing_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the closing velocities of the suspensions, one per input, and of travels and states of set elements.
+    """Returns the names of the suspensions' closing velocities, and of travels and states of voltage-controlled elements.
 
-    Set elements are force elements whose coefficient a controller sets. The result is empty without semi-active dampers. See
-    `CoefficientRange.closing`.
+    A voltage-controlled element is a force element whose voltage the controller commands. The result is empty without
+    semi-active dampers. See `CoefficientRange.closing`.
     """
     if not vehicle.dampers:
         return ()
@@ -43,11 +43,12 @@ class Actuators:
         forces: number m of forces.
         size: number of commands per run.
         closing: map from (qpos, qvel) to the closing velocity of each suspension, shape (m + c, nq + nv). Rows of active
-            actuators, and of the travels and states of set elements, are 0. The shape is (0, nq + nv) without semi-active
-            dampers.
+            actuators, and of the travels and states of voltage-controlled elements, are 0. The shape is (0, nq + nv) without
+            semi-active dampers.
         at_rest: small offsets that keep the closing velocities different from 0, shape (m + c,) or (0,).
         lags: True if a coefficient lags behind its command.
-        over_travel: True if the motion ratios of semi-active dampers change with travel, or if there are set elements.
+        over_travel: True if the motion ratios of semi-active dampers change with travel, or if there are voltage-controlled
+            elements.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], readout: "Readout") -> None:
@@ -84,7 +85,7 @@ class Actuators:
             closing *= np.where(self._of.adjustable, self._ratios.turns(deflections), 1.0)
 
     def of_elements(self, deflections: Array, own: Array) -> Array:
-        """Returns the travels and states of the set elements, shape (N, c).
+        """Returns the travels and states of the voltage-controlled elements, shape (N, c).
 
         Args:
             deflections: deflections of all suspensions [m], shape (N, s).

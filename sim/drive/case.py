@@ -70,7 +70,7 @@ class Batch:
     """Batch of N cases that are simulated together, at the same sample times.
 
     Attributes:
-        cases: the N cases. Their vehicles have the same type and the same map from MuJoCo's state to signals, see `reads_out`.
+        cases: the N cases. All vehicles have the same type and the same map from MuJoCo's state to signals, see `reads_out`.
         inputs: road input of each case.
         now: road heights at the samples [m], shape (T, N, r).
         midway: road heights at which MuJoCo holds the road during each step [m], shape (T, N, r).

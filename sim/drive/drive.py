@@ -112,8 +112,8 @@ def _together(cases: Sequence[Case], timestep: float) -> list[list[int]]:
 def _shares(count: int, threads: int) -> list[slice]:
     """Splits the runs evenly among threads.
 
-    Each thread has its own batch. This is faster than one batch on all threads, because those wait for each other and while
-    Python runs.
+    Each thread has its own batch. This is faster than a single batch on all threads. The threads of a single batch wait for
+    each other, and while Python runs.
     """
     shares = min(threads, count // FEWEST)
     if shares <= 1:

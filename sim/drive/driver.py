@@ -1,6 +1,6 @@
 """Protocol of drivers, which compute requests from the measurements of N runs. Each driver has a file in `sim.drive.drivers`.
 
-A driver receives the measurements with noise and quantisation. Its requests pass through the delay of the computer
+A driver receives the measurements with noise and quantisation. The requests of a driver pass through the delay of the computer
 (`sim.drive.computer`) and through the actuators (`sim.drive.actuators`).
 """
 

@@ -121,8 +121,9 @@ def runs_at_once(samples: int, wheels: int) -> int:
 class Loop:
     """Simulation loop: measure, compute the commands, apply them, move the road, step.
 
-    The results of a run are reproducible bit for bit. They do not depend on the other runs in the batch, the number of threads,
-    or the size of the blocks. This is why no matrix product has an order of summation that depends on the number of runs.
+    The results of a run are reproducible bit for bit. The results do not depend on the other runs in the batch, the number of
+    threads, or the size of the blocks. This is why no matrix product has an order of summation that depends on the number of
+    runs.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -198,7 +199,7 @@ class Loop:
     def _map(self, actuators: Actuators) -> Array:
         """Returns the map to measured signals and closing velocities.
 
-        It applies to (qpos, qvel), the used part of `sensordata`, and the states of the vehicle's parts.
+        The map applies to (qpos, qvel), the used part of `sensordata`, and the states of the vehicle's parts.
         """
         readout, some = self.readout, self.seen
         linear = readout.linear[some][:, None]

@@ -131,7 +131,7 @@ class PartBatch(Batch):
     def _accelerate(self, bound: "_Bound", b: Array) -> None:
         """Evaluates the accelerations again, with the inertial parts, whose forces p = b l'' depend on the accelerations.
 
-        Without inertial parts, l'' is a. Their forces p change this to a + R p, so p = b (a + R p).
+        Without inertial parts, l'' is a. The forces p of inertial parts change l'' to a + R p, so p = b (a + R p).
         """
         controls, qacc = bound.controls, np.array(bound.qacc)
         J, turning = self._lengths.jacobian(bound)
@@ -251,7 +251,7 @@ class _Lengths:
     def jacobian(self, bound: _Bound) -> tuple[Array, Array]:
         """Returns the Jacobian J of the lengths, shape (N, s, nv) or (1, s, nv), and J' qvel [m/s2], shape (N, s).
 
-        J belongs to the last evaluation of the batch, in its present state. Its time derivative J' is a central difference.
+        J belongs to the last evaluation of the batch, in its present state. The time derivative J' is a central difference.
         """
         if self.linear:
             return self._constant, np.zeros((len(bound.qacc), len(self._tendons)))

@@ -50,8 +50,8 @@ class Readout:
     Attributes:
         names: names of the S signals. The last k are the states of the vehicle's parts.
         stage: mjtStage to which MuJoCo must be evaluated for the sensor of each signal, shape (S,).
-        linear: True for signals that are linear in (qpos, qvel), shape (S,). They are computed from the state before a step.
-            Evaluating their sensors would take a seventh of the time of the step.
+        linear: True for signals that are linear in (qpos, qvel), shape (S,). Linear signals are computed from the state before
+            a step. Evaluating their sensors would take a seventh of the time of the step.
         of_state: map from (qpos, qvel) to linear signals, shape (S, nq + nv).
         of_sensors: map from `sensordata` to signals, shape (S, nsensordata).
         of_parts: map from the states of parts to signals, shape (S, k).

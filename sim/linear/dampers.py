@@ -33,9 +33,9 @@ def stretching_rates(vehicle: Vehicle) -> Array:
 
 
 def closing_velocities(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the closing velocity of every damper at the samples [m/s], shape (T, m + c). It is 1 for active actuators.
+    """Returns the closing velocity of every damper at the samples [m/s], shape (T, m + c). The value is 1 for active actuators.
 
-    Travels and states of set elements follow, see `CoefficientRange.closing`.
+    Travels and states of voltage-controlled elements follow, see `CoefficientRange.closing`.
     """
     of = range_of([vehicle])
     states = np.stack([physics[name] for name in vehicle.linear_model.states], axis=-1)

@@ -12,7 +12,7 @@ Preview adds to the requested forces a sum over the coming samples, at intervals
 continuous time, it adds the integral of F(s) exp(j omega s).
 
 A suspension force F exp(j omega t) may act in addition. Like the road, it is held over each step at its midpoint, and it does
-not make any state jump. Its responses, per newton, follow those to the road.
+not make any state jump. The responses to this force, per newton, are appended to the responses to the road.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ PULL = "pull_"  # prefix of the name of a suspension force among the inputs
 def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omega: Array) -> Array:
     """Returns the frequency response of the continuous loop from each wheel's road velocity to each output.
 
-    It is complex, with shape (F, p, r).
+    The frequency response is complex, with shape (F, p, r).
 
 
     Args:

@@ -29,9 +29,9 @@ LINEAR, NONLINEAR = "linear analysis", "the nonlinear response with the characte
 class Prediction:
     """Linear responses of one run from equilibrium. Each response is computed when it is first needed.
 
-    Linear analysis does not cover a Python control law. Its responses are therefore those of the vehicle to the forces that the
-    law requested. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a linear law,
-    the continuous response then assumes that the dampers supply all requested forces.
+    Linear analysis does not cover a Python control law. The responses for such a law are those of the vehicle to the forces
+    that the law requested. A run whose controller sets semi-active dampers is not linear and has no sampled response. For a
+    linear law, the continuous response then assumes that the dampers supply all requested forces.
 
     Attributes:
         input: vehicle with the limits and the implementation of this run, and its road.
@@ -50,9 +50,10 @@ class Prediction:
 
     @property
     def sampled(self) -> Response:
-        """Response of the sampled loop. It is exact if the loop is linear; with characteristics, it is that of RK4.
+        """Response of the sampled loop.
 
-        It is NaN if a law sets semi-active dampers, because the loop is not linear.
+        The response is exact if the loop is linear; with characteristics, it is the response of RK4. All values are NaN if a law
+        sets semi-active dampers, because the loop is not linear.
         """
         return self._sampled[0]
 

@@ -12,8 +12,8 @@ velocity over the step, which is held like a load.
 If a damper or a spring has a characteristic, the response is that of RK4 (`sim.linear.stepped`), regardless of `exponential`.
 
 Loads f on the body (`models/roads/loads/`) are held over each step, as the road is; loads from files are held at their means.
-They enter like u, with Bl instead of B. Signals and measurements at a sample use the load at the sample. A law with states and
-a measured acceleration enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
+Loads enter the equations like u, with Bl instead of B. Signals and measurements at a sample use the load at the sample. A law
+with states and a measured acceleration enlarge the state (`synth/plant/loop.py`), but the equations remain the same.
 
 Continuous loop. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,
 

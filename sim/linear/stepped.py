@@ -1,6 +1,7 @@
 """Response of a vehicle that is linear except for its suspension forces, in steps of RK4, as MuJoCo integrates.
 
-With xi as in `sim.linear.sampled_response`, f for the forces of `SuspensionForces`, and E for their effect on the states,
+The state xi is that of `sim.linear.sampled_response`, f are the forces of `SuspensionForces`, and E is their effect on the
+states:
 
     xi' = A xi + B u + (A J + Br) z_r + Bh l + E f(d, v, u, z),    x = xi + J z_r,
 
@@ -307,7 +308,7 @@ class SteppedRuns:
     def finer(self) -> Response:
         """Response without the error of RK4, which is estimated.
 
-        The error of a step follows from two steps of half its length, which are computed for all steps together. It then
+        The error of a step follows from two steps of half its length, which are computed for all steps together. The error then
         propagates as in the linear model without the controller.
         """
         h, model = self.inputs[0].timestep, self.steps.model
@@ -326,7 +327,7 @@ def stepped_runs(controllers: Sequence[Controller], inputs: Sequence[RoadInput])
     """Returns the runs of sampled loops from equilibrium. For laws with fewer states than others, the last states are 0.
 
     Args:
-        controllers: N linear controllers. Their measurements have no noise.
+        controllers: N linear controllers. The measurements have no noise.
         inputs: N roads of the same vehicle, at the same sample times.
     """
     vehicle, time, h = inputs[0].vehicle, inputs[0].time, inputs[0].timestep

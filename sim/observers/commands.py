@@ -2,8 +2,9 @@
 
 Every sample starts from the measurements of the run and the recorded states of the law. An error of one sample therefore does
 not hide another. Three things are compared. The measurements must be the run's signals at the sample, to which noise and
-quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. They must act `delay`
-samples later. A Python control law, an FMU or exported code is started again and receives the same measurements.
+quantisation are added. The commands must be those of the law, within the ranges of semi-active dampers. Each command must act
+`delay` samples after its measurements. A Python control law, an FMU or exported code is started again and receives the same
+measurements.
 """
 
 from collections.abc import Iterator

@@ -1,17 +1,17 @@
-"""Energy balance of a run: work of road and actuators compared with stored and dissipated energy. It needs no reference.
+"""Energy balance of a run: work of road and actuators compared with stored and dissipated energy.
 
-MuJoCo holds the road within a step, so the road does its work between the steps. The jump of its height then changes the energy
-of the tyre springs. Within a step, the stored energy changes by the work of actuators and loads, minus the energy that the
-dampers dissipate:
+The balance needs no reference response. MuJoCo holds the road within a step, so the road does its work between the steps. The
+jump of its height then changes the energy of the tyre springs. Within a step, the stored energy changes by the work of
+actuators and loads, minus the energy that the dampers dissipate:
 
     E[k+1, road k] - E[k, road k] = sum of integral f_a l_a' dt + work of loads - sum of integral c_j l_j'^2 dt,
 
 Here E is the kinetic and potential energy. The residual of this equation is the error of the integrator and of the integrals.
 The integrals use Simpson's rule. The values in the middle of a step follow from the lengths l and rates l' at both ends by
-Hermite's cubic. Its slope in the middle has an error of fourth order in the step. If every spring is linear in its length, the
-residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a tyre leaves the
-road. The force then has a kink, and the residual is only of about second order. This also applies to the knots of
-characteristics.
+Hermite's cubic. The slope of this cubic in the middle has an error of fourth order in the step. If every spring is linear in
+its length, the residual is therefore of order 4, as for RK4. A spring may start or stop acting within a step, for example if a
+tyre leaves the road. The force then has a kink, and the residual is only of about second order. This also applies to the knots
+of characteristics.
 
 E comes from the vehicle's own equations (`StoredEnergy`), with the masses, inertias, weights and linear springs of the vehicle
 file. The states come from MuJoCo. A wrong mass or spring of the MuJoCo model therefore causes a residual, and so does any force
@@ -23,10 +23,10 @@ An actuator should act along the deflection of its suspension, and its work is c
 on one end only, or through a gear, therefore also causes a residual. The work of an actuator without a suspension, which acts
 against the ground, is computed along MuJoCo's actuator. For this actuator, only the comparison with the linear model shows
 these faults. The force of a semi-active damper beyond its nominal force is -d l'. The coefficient d is held over a step, or
-lags behind its command. Its work is computed with Simpson's rule, too. An element of `[parts]` whose voltage is set stores
-energy that depends on its present voltage, so a change of the voltage does work. This work of its coil counts as work of its
-actuator. A separate check of force and speed at every sample confirms that a damper dissipates energy for every commanded
-coefficient or voltage.
+lags behind its command. The work of this force is computed with Simpson's rule, too. An element of `[parts]` whose voltage is
+set stores energy that depends on its present voltage, so a change of the voltage does work. This work of its coil counts as
+work of its actuator. A separate check of force and speed at every sample confirms that a damper dissipates energy for every
+commanded coefficient or voltage.
 
 The residual is relative to the turnover. This is the energy that the dampers dissipate, the energy that the actuators supply
 and absorb, and the largest kinetic energy. The work of lifting the weight is excluded, because it would hide small residuals.
@@ -170,7 +170,7 @@ def _lost_energy(
     The vehicle's linear damper and the force of an input are excluded; their work is computed separately.
 
     Args:
-        inputs: inputs of a set element at the start, in the middle and at the end of every step.
+        inputs: inputs of a voltage-controlled element at the start, in the middle and at the end of every step.
     """
     if one.part.stores:
         return 0.0

@@ -62,8 +62,8 @@ class CommandAgreement(LocalAgreement):
     """Differences of a run's measurements, commands and law states from its control law.
 
     Attributes:
-        repeatable: False if the law gave different commands for the same measurements when it was started again twice. Its
-            commands are then not compared.
+        repeatable: False if the law gave different commands for the same measurements when it was started again twice. The
+            commands of such a law are not compared.
     """
 
     repeatable: bool = True
@@ -82,10 +82,10 @@ class Energy(ShownResult):
             kinetic energy [J].
         loads: work done by the loads on the body [J]; None without loads.
         allowed: largest residual that the error of the integrator explains: that of RK4 if no force has a kink, otherwise
-            `BALANCE_TOLERANCE`. It is larger if half the step leaves a smaller residual.
+            `BALANCE_TOLERANCE`. The limit is larger if half the step leaves a smaller residual.
         residual: largest magnitude over time of the work done minus the stored and dissipated energy, relative to `turnover`.
-        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest. It is below 0 if the
-            damper supplied energy. None if the vehicle has no semi-active dampers.
+        least: smallest power that a semi-active damper dissipates at any sample, relative to the largest. The value is below 0
+            if the damper supplied energy. None if the vehicle has no semi-active dampers.
     """
 
     road: float

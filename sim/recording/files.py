@@ -39,7 +39,7 @@ def record(
     remains.
 
     Args:
-        folder: folder of the files. It is created if it does not exist.
+        folder: folder of the files. A missing folder is created.
         stem: common name of the files, without suffix.
         runs: runs with distinct names.
         metadata: metadata of all runs.

@@ -136,7 +136,7 @@ def moving_entities(run: RunLog, times: list[int], largest: float) -> Messages:
 def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
     """Adds an entity that moves with its frame, and returns it.
 
-    It remains until another entity with the same name replaces it.
+    The entity remains until another entity with the same name replaces it.
     """
     return update.entities.add(timestamp=_stamp(time), frame_id=frame_id, id=name, lifetime=Duration(), frame_locked=True)
 

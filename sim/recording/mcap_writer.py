@@ -95,7 +95,7 @@ def channels(runs: Sequence[RunLog]) -> Iterator[Channel]:
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
-    """Returns the name of a topic. It includes the name of the run if there are several runs."""
+    """Returns the name of a topic. With several runs, the topic includes the name of the run."""
     return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
@@ -112,7 +112,7 @@ def _describe_signal(signal: Signal) -> str:
 def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> Schema:
     """Returns the schema of a flat message of doubles or floats.
 
-    It has a number, because responses may have different signals.
+    The schema has a number, because responses may have different signals.
     """
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")

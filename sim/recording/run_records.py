@@ -138,7 +138,10 @@ def _actuators(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
-    """Returns the tyre of geom `i`. Its tendon runs from the road to the hub, and is slack above the radius of the tyre."""
+    """Returns the tyre of geom `i`.
+
+    The tendon of the tyre runs from the road to the hub, and is slack above the radius of the tyre.
+    """
     shape = _shape(model, i)
     return Tyre(
         name=shape.name,
@@ -222,7 +225,7 @@ def record_runs(
 
 
 def _attachment_name(what: str, suffix: str, content: bytes) -> str:
-    """Returns the name of an attachment. It contains a hash, so that runs share equal attachments."""
+    """Returns the name of an attachment. The name contains a hash, so that runs share equal attachments."""
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 

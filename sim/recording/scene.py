@@ -158,7 +158,7 @@ class Scene:
     def flat(self) -> bool:
         """True if the scene is wider than long, as for a vehicle in the roll plane.
 
-        It is then shown from behind instead of from the left.
+        Viewers then show the scene from behind instead of from the left.
         """
         low, high = self.finite().extent()
         return bool(np.ptp([low, high], axis=0)[1] > np.ptp([low, high], axis=0)[0])
@@ -222,8 +222,8 @@ def arrows(scene: Scene, largest: float) -> dict[str, tuple[Array, Array]]:
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
     """Returns coil, rod and tube of a spring with a damper, shapes (F, points, 3), from its ends [m], shape (F, 2, 3).
 
-    The tube is fixed to the body. Its length is half the length of the strut in the first frame, so that the motion of the rod
-    is visible.
+    The tube is fixed to the body. The tube is half as long as the strut in the first frame, so that the motion of the rod is
+    visible.
     """
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]
     if not len(ends):
@@ -268,7 +268,7 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """Returns a track as a slab. Its shade of grey alternates every metre, so that its motion is visible.
+    """Returns a track as a slab. The shade of grey alternates every metre, which makes the motion visible.
 
     Returns:
         The vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and the triangles, shape (6 (N - 1), 3).

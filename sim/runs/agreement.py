@@ -8,7 +8,7 @@ A run agrees if two local checks hold:
    includes sampling, delay, noise, quantisation, limits and exported code.
 
 If both checks hold, the trajectory is that of the equations and the law. The distance from the linear response is then a
-measurement. Its cause is the integrator, geometry, noise, or an event that ends the linear regime.
+measurement. The cause of this distance is the integrator, geometry, noise, or an event that ends the linear regime.
 
 Linear analysis applies to such a run because the equations are linear, or nearly linear, until this event. `LinearComparison`
 computes the distance only if it is needed. The verdict does not need it.
@@ -267,8 +267,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def first_loose(met: RoadInput, physics: Response) -> float:
-    """Returns the first sample before which a tyre may have been off the ground within a step [s]; infinite if there is no such
-    sample.
+    """Returns the first sample before which a tyre may have been off the ground within a step [s], or infinity.
 
     MuJoCo holds the road at one height over a step, so a tyre may be shorter or longer within the step than at the samples. The
     second difference of a hub's path bounds its curvature within a step, as the stages of RK4 evaluate it.

@@ -32,15 +32,15 @@ def run(
 
     Args:
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
-            necessary. A function is also a control law. law(t, y) receives the time [s] and the q measurements, shape (q,). Its
-            result is the force [N], a number or an array of shape (m,). A function law(sample, state) returns the force and the
-            next state, as in a file. The function measures the signals in its attribute `measured` or, by default, all
+            necessary. A function is also a control law. law(t, y) receives the time [s] and the q measurements, shape (q,). The
+            function returns the force [N], a number or an array of shape (m,). A function law(sample, state) returns the force
+            and the next state, as in a file. The function measures the signals in its attribute `measured` or, by default, all
             measurable signals. An object with the methods of `sim.Driver` is also a control law. A single controller gives a
             list with one run.
         road: road to drive over, for example `models.Bump(height=0.1)`.
         duration: duration of the run [s].
-        timestep: time step of MuJoCo [s]. It is also the sample period of the controllers if the vehicle file does not define
-            one.
+        timestep: time step of MuJoCo [s]. The time step is also the sample period of the controllers if the vehicle file does
+            not define one.
 
     Returns:
         One run per controller, with the simulated response, the predicted responses, and the verdict `agrees`.

@@ -1,9 +1,9 @@
 """Free decay: frequencies and damping ratios of a vehicle that is released on a flat road.
 
 In a linear loop, the modes determine the motion from sample to sample. The signals of the states at a few successive samples
-therefore follow from their previous values by a matrix, which is found by least squares. Its eigenvalues belong to the modes.
-Singular values at the level of rounding are removed, so that modes without motion have no effect. With characteristics or large
-angles, the result is the linear loop that fits the whole decay best.
+therefore follow from their previous values by a matrix, which is found by least squares. The eigenvalues of this matrix belong
+to the modes. Singular values at the level of rounding are removed, so that modes without motion have no effect. With
+characteristics or large angles, the result is the linear loop that fits the whole decay best.
 """
 
 import math

@@ -85,7 +85,10 @@ class RunResult:
 
     @property
     def sampled(self) -> Response:
-        """Response of the sampled loop. It is exact if the loop is linear; with characteristics, it is that of RK4."""
+        """Response of the sampled loop.
+
+        The response is exact if the loop is linear; with characteristics, it is the response of RK4.
+        """
         return self.prediction.sampled
 
     @property
@@ -97,8 +100,8 @@ class RunResult:
     def line_errors(self) -> Mapping[str, float]:
         """Largest difference of the linearisation at equilibrium from MuJoCo by signal, relative to MuJoCo's peak.
 
-        It is measured until the linear regime ends for another reason. It is empty for a vehicle without characteristics, or
-        without a sampled response. States of parts with a kink at equilibrium are omitted.
+        The difference is measured until the linear regime ends for another reason. The mapping is empty for a vehicle without
+        characteristics, or without a sampled response. States of parts with a kink at equilibrium are omitted.
         """
         if (line := self.prediction.linearised) is None or self.agreement.until <= 0:
             return {}

@@ -1,9 +1,10 @@
 """Effect of the unknown road before a measured road on the peaks of a run.
 
 A vehicle starts in steady motion on the plane of the first 11 m of the road. In reality, it comes from a road that was not
-measured. This road may be as rough as the measured road itself. It is therefore modelled as the measured road, turned about its
-first point, so that it has no jump or kink there. The vehicle without control arrives from this road in a certain state. The
-difference of this state from the steady motion decays in the run's loop, and affects the run while it lasts.
+measured. This road may be as rough as the measured road itself. The model of the unknown road is the measured road, turned
+about its first point, so that the two roads meet without a jump or a kink. The vehicle without control arrives from this road
+in a certain state. The difference of this state from the steady motion decays in the run's loop, and affects the run while it
+lasts.
 """
 
 from collections.abc import Sequence

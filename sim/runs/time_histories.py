@@ -48,7 +48,7 @@ class _Trace:
 
     @property
     def values(self) -> Array:
-        """Values that the axis must contain. If the run is not bounded, only those up to the end of the linear regime."""
+        """Values that the axis must contain. If the run is not bounded, the values end with the linear regime."""
         physics = self.physics if self.bounded else self.physics.until(self.until)
         return np.concatenate([self.line[self.name], physics[self.name]])
 
@@ -112,8 +112,8 @@ def history_panels(
 ) -> list[Panel]:
     """Returns a panel for each weighted or measured signal that moves.
 
-    An unstable run, or a run that becomes invalid, does not enlarge the axis. It is drawn until it leaves the axis, which the
-    title states.
+    An unstable run, or a run that becomes invalid, does not enlarge the axis. Such a run is drawn until its signal leaves the
+    axis, and the title gives this time.
 
     Args:
         runs: runs over one road.
@@ -193,7 +193,8 @@ def _swings(values: Array) -> int:
 def history_figure(runs: Sequence[RunResult], where: str, measured: Response | None = None) -> Figure | None:
     """Returns the figure of runs over one road, with lines for the sampled loop; None if nothing moves.
 
-    In a long run, the lines are too dense to distinguish. Its panels are therefore shown next to panels of its hardest part.
+    In a long run, the lines are too dense to distinguish. The figure therefore also shows panels of the hardest part of the
+    run.
 
     Args:
         where: text about the road, which follows "over".
@@ -225,7 +226,7 @@ def history_figure(runs: Sequence[RunResult], where: str, measured: Response | N
 def _hardest_stretch(runs: Sequence[RunResult]) -> tuple[float, float] | None:
     """Returns the part of the time around the largest peak of the first weighted signal [s]; None if the runs need no such part.
 
-    It contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
+    This part contains about `MOST_SWINGS` oscillations of the signal that oscillates most often.
     """
     weighed = list(_weighted_signals(runs))
     bounded_runs = [run for run in runs if _stays_bounded(run)]

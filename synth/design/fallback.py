@@ -86,9 +86,9 @@ def refinement(problem: DesignProblem, progress: Progress) -> DesignResult:
     """Lowers the norm by descent, as `refine` does, if the two steps end more than 0.1 % above the lower bound.
 
     The gain may double for each 0.1 % by which the norm falls. If all states are measured without noise, a Riccati equation
-    gives another gain. Its norm is as near the bound as `largest_gain` allows or, without `largest_gain`, as actuators allow.
-    If the result is still more than 1 % above the bound, descents also start from other gains. The gain with the lower norm is
-    returned, unless its poles are too fast for an actuator.
+    gives another gain. The norm of this gain is as near the bound as `largest_gain` allows or, without `largest_gain`, as
+    actuators allow. If the result is still more than 1 % above the bound, descents also start from other gains. The gain with
+    the lower norm is returned, unless its poles are too fast for an actuator.
     """
     from synth.design.static import bounded_work
 

@@ -1,6 +1,6 @@
 """Design of a controller for any plant. The arguments are the keys of a controller's section in a vehicle file.
 
-The arguments are checked first, also against the table of compatible options in `models/laws/combinations.py`. They make a
+The arguments are checked first, also against the table of compatible options in `models/laws/combinations.py`. The result is a
 `DesignProblem`, for which `synth.design.methods` chooses the design method. Every method has its own file and can also be
 called directly.
 """
@@ -88,8 +88,8 @@ def design_feedback(
         family: further plants for the same gain. The largest norm of all plants counts. By default, they have the measurements
             Cy.
         structure: mask of the gain, shape (m, q): one if a measurement may act on a force, otherwise zero. With a number of
-            states as `order`, each force has its own law with this number of states. "pi" or "pid" designs this type of law
-            from each measurement to its force.
+            states as `order`, each force has its own law with this number of states. The text "pi" or "pid" selects this type
+            of law from each measurement to its force.
         pid: time constant [s] of the low-pass of the derivative for "pid", for example {"filter": 0.01}.
         largest_gain: bound on |K_ij| of a static gain with the smallest norm, in the units of the plant; 1e5 by default.
         lower_bound: lower bound on the norm of every controller from these measurements, if known, for the certificate.

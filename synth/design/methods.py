@@ -54,7 +54,7 @@ def insufficient(problem: DesignProblem, steps: DesignResult) -> str:
 
     The two steps ignore noise. The X of (22) feeds back every state. This includes the filter states, which y does not contain
     and no control moves, and L (14) bases the gain on this X. With filters, descent therefore continues from the result of the
-    two steps. It also continues if the norm is larger than that without control.
+    two steps. Descent also continues if the norm is larger than that without control.
     """
     plant, certificate = problem.plant, steps.certificate
     norm = certificate.norm.value

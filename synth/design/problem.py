@@ -173,24 +173,24 @@ class DesignResult(ShownResult):
         sampled_lower_bound: lower bound on the sampled norm of controllers of any order at this sample period and delay. None
             without a sample period, or if no bound is proved.
         level: upper bound on the sampled norm from the LMI of the two steps for the sampled-data loop; None for other designs.
-        redundant: indices of the measurements that depend linearly on others. Their gain is zero.
+        redundant: indices of the measurements that depend linearly on others. The gain of these measurements is zero.
         case: text about the degeneracy of (22) (no optimum, or every gain optimal); empty if it is not degenerate.
         instead: text with the fallback method and the reason why the two steps found no gain; empty if they found one.
-        state_step_gap: relative distance in gamma between the optimum of (22) and the point that gave X for L (14). It is 0 at
-            the limit of the central path, and larger if the second problem has no solution from there.
-        optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. It is 0 at the limit of the
-            central path, and larger if only gains that are too fast for an actuator reach the optimum.
+        state_step_gap: relative distance in gamma between the optimum of (22) and the point that gave X for L (14). The
+            distance is 0 at the limit of the central path, and larger if the second problem has no solution from there.
+        optimum_gap: relative distance in gamma between the gain and the optimum of its own problem. The distance is 0 at the
+            limit of the central path, and larger if only gains that are too fast for an actuator reach the optimum.
         moved: last change of the gain along its central path, relative to its largest entry. This is about a hundred times the
-            distance to the limit of the path. It is at most 4e-5 for the built-in cars, and for the two steps of a chain of 40
-            states. For chains of 26 and 40 states, however, the state feedback still grows a hundredfold if mu falls by a
-            factor of a hundred. The norm of such a gain is proved, but none of its digits agrees with the optimum.
+            distance to the limit of the path. The change is at most 4e-5 for the built-in cars, and for the two steps of a
+            chain of 40 states. For chains of 26 and 40 states, however, the state feedback still grows a hundredfold if mu
+            falls by a factor of a hundred. The norm of such a gain is proved, but none of its digits agrees with the optimum.
         origin: text about the start of the search that led to the law; empty without a search.
         two_steps: result of the two steps, if the search of a static gain also started from it; otherwise None.
         starts: number of the other stable starts of this search.
         preview: force from the road ahead, which adds to the force of the law; None without preview.
         without: value of the objective without preview.
-        trade: Pareto front of the norm and the speed of full-order laws, the slowest first. It is empty if the law is near the
-            lower bound and not fast. For a discrete plant, the laws belong to its continuous image.
+        trade: Pareto front of the norm and the speed of full-order laws, the slowest first. The front is empty if the law is
+            near the lower bound and not fast. For a discrete plant, the laws belong to its continuous image.
         details: additional result of the method: a `MultiObjectiveDesign` for a design with goals, otherwise None.
     """
 

@@ -1,22 +1,24 @@
 """Designs for the sampled-data loop, which apply the methods for ideal loops to a discrete plant.
 
-For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). Its states
-include the delayed forces, and its disturbances include the measurement noise. A law for this plant therefore takes into
-account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method designs a law at
-one level. The exact norm of the law's sampled-data loop (`synth/analysis/sampled_norm.py`) is the next level.
+For every level of the L2 gain of the sampled-data loop there is a discrete plant (`synth/analysis/sampled_loop.py`). The states
+of this plant include the delayed forces, and the disturbances include the measurement noise. A law for this plant therefore
+takes into account the delay, the hold and the motion between samples. `by_levels` searches for the lowest level. A method
+designs a law at one level. The exact norm of the law's sampled-data loop (`synth/analysis/sampled_norm.py`) is the next level.
 
-- Full order: Riccati equations. They start at the lowest level at which they have a solution, which is found by bisection.
-- A given order or structure: descent. It starts at a level near the lower bound, and continues from the law of the last level.
+- Full order: Riccati equations. The first level is the lowest one at which these equations have a solution, which is found by
+  bisection.
+- A given order or structure: descent. Descent starts at a level near the lower bound, and continues from the law of the last
+  level.
 - A static gain: the paper's two steps, followed by descent. Each step searches for the level at which the optimal norm of its
   discrete plant is 1, by the secant method over logarithms. The X of the state feedback (22) at its level gives L (14). The
   second step (25) has another level. Every optimum is the limit of a central path. The gain is therefore unique, and depends
   neither on a solver nor on units.
 
 The delayed forces are states that no measurement contains. If L makes them follow the optimal state feedback, the second step
-may have no solution. It may have one if L makes them follow another gain that is equally good. Descent on the exact norm then
-starts from the results and from the continuous design, and the lowest norm wins. The gain of the two steps stays if descent
-hardly lowers its norm. If the two steps find no gain, or if no control is better, descent starts from all known gains, and a
-remark gives the reason. The two steps ignore noise of the measurements; descent includes it.
+may have no solution. The second step may nevertheless have a solution if L makes them follow another gain that is equally good.
+Descent on the exact norm then starts from the results and from the continuous design, and the lowest norm wins. The gain of the
+two steps stays if descent hardly lowers its norm. If the two steps find no gain, or if no control is better, descent starts
+from all known gains, and a remark gives the reason. The two steps ignore noise of the measurements; descent includes it.
 
 The norm has several local minima if the phase of a mode of the plant advances by a considerable part of a turn within a sample
 period. A good gain for a short period may be unstable for a long one. Descent therefore starts at the minima of the norm along

@@ -1,7 +1,7 @@
 """Static output-feedback design by multi-start descent on the H-infinity norm.
 
-The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
-guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
+The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. The search
+cannot guarantee a global optimum, because the problem is not convex. Two measures reduce the risk of a poor local minimum:
 
 - Many starting gains (`descent/starts.py`): no control, random gains of every magnitude, and the refined result of the paper's
   two steps. If few random gains are stable, stabilising gains are added. All of these descend for a few rounds. The best ones
@@ -90,13 +90,13 @@ def static_output_feedback(
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n); that of the plant by default. A row that depends linearly on other rows gets a
             gain of zero.
-        largest_gain: bound on |K_ij|, in the units of the plant. It keeps the gain finite if the norm falls without limit
-            towards infinite gains. The search works in balanced coordinates, but a change of units changes this bound and may
-            lead to another local minimum.
+        largest_gain: bound on |K_ij|, in the units of the plant. The bound keeps the gain finite if the norm falls without
+            limit towards infinite gains. The search works in balanced coordinates, but a change of units changes this bound and
+            may lead to another local minimum.
         lower_bound: lower bound on the norm of every such controller. The search ends early if it comes close to this bound,
             and the certificate contains the bound.
         Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r); zero by default. The paper's two steps
-            ignore Dyw. Their result is only one of the starting points.
+            ignore Dyw. The result of the two steps is only one of the starting points.
         rival: norm that another design reaches. The search ends early for gains that stay far above this norm. The default,
             infinity, means that there is no other design.
 

@@ -27,7 +27,7 @@ class CodeDriver:
     """Exported code of N runs, each with its own state.
 
     The code gives the commands. The forces that limits and dampers cut off come from the law itself, from the same measurements
-    and the states of the code. They are recorded as for the law.
+    and the states of the code. These lost forces are recorded as in a run with the law.
     """
 
     ahead = 0

@@ -2,7 +2,7 @@
 
 A gain K is a point x of N numbers with K_ij = x_ij scale_ij. The scales give every entry of K a similar effect. N is m q, or
 the number of nonzero entries if a structure fixes the others to zero. The H-infinity norm is a continuous function of the gain.
-It has an edge wherever two frequencies or two singular values share the maximum, and its minima lie on edges. For all unit
+The norm has an edge wherever two frequencies or two singular values share the maximum, and minima lie on edges. For all unit
 vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak. Each (omega, u, v) therefore
 gives a smooth function that bounds the norm from below. This function is called a cut (Apkarian, Noll 2006).
 
@@ -46,8 +46,8 @@ class Modes:
     Attributes:
         loop: closed loop from `Landscape.loop`.
         poles: poles of the loop, shape (n,).
-        residues: residues C v w' Bw of all modes, with right and left eigenvectors v and w, shape (n, d r). They make frequency
-            responses cheap. None if the eigenvectors lose too many digits.
+        residues: residues C v w' Bw of all modes, with right and left eigenvectors v and w, shape (n, d r). With residues,
+            frequency responses are fast to compute. None if the eigenvectors lose too many digits.
         vectors: the right eigenvectors as columns, and the left eigenvectors as the rows of their inverse, shapes (n, n); None
             if `residues` is None.
     """
@@ -149,7 +149,7 @@ def price(states: int, entries: int) -> float:
 class Landscape:
     """Norms of the closed loops of one plant as a function of the gain.
 
-    It stores previous peak frequencies, which make the next search shorter but do not change its result.
+    The object stores previous peak frequencies, which make the next search shorter but do not change its result.
     """
 
     def __init__(
@@ -227,8 +227,8 @@ class Landscape:
     def loop(self, x: Array) -> Plant:
         """Returns the plant with the gain of a point closed, u = K y + (a new u). The last result is cached.
 
-        Its matrices give the effect of a change of the gain on y, including the effect through Dyu. They are NaN if the loop
-        equation has no solution.
+        The matrices of the result give the effect of a change of the gain on y, including the effect through Dyu. All entries
+        are NaN if the loop equation has no solution.
         """
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
@@ -250,7 +250,7 @@ class Landscape:
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Returns the largest real part of the poles [rad/s], and its slope, shape (N,).
 
-        It is infinite if the loop matrix is not finite.
+        The value is infinite if the loop matrix is not finite.
         """
         self.work.done += POLES * self.price
         loop = self.loop(x)

@@ -7,9 +7,9 @@
 - While a bound is exceeded, a multiple of the excess is added to the goal (an exact penalty). With a factor above the
   multipliers of the bounds, the sum has the same minimum as the goal within the bounds. A sum of two maxima is the maximum over
   pairs, so the model keeps its form.
-- `descend_norm` applies this descent to one norm. It works in stages, each with its own coordinates and curvature.
-- `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013). It
-  is fast far from a minimum, and stalls at an edge.
+- `descend_norm` applies this descent to one norm. This descent works in stages, each with its own coordinates and curvature.
+- `quasi_newton` is BFGS with a weak Wolfe line search, which works on nonsmooth functions in practice (Lewis, Overton 2013).
+  BFGS is fast far from a minimum, and stalls at an edge.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -206,8 +206,8 @@ LITTLE = 1e-3  # functions with a smaller weight do not contribute to the curvat
 def descend_norm(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
     """Minimises the norm from a stable x with |x_i| <= limit_i.
 
-    It ends at the norm `enough`, or if a stage gains almost nothing. Every stage computes its own coordinates and starts
-    without curvature. The curvature of the previous stage belongs to other edges, and would only shorten the steps.
+    The descent ends if the norm is at most `enough`, or if a stage hardly lowers it. Every stage computes its own coordinates
+    and starts without curvature. The curvature of the previous stage belongs to other edges, and would only shorten the steps.
 
     Returns:
         The final point, and its norm.
@@ -397,7 +397,7 @@ def solve_subproblem(values: Array, slopes: Array, hessian: Array, M: Array, x: 
 
     The subproblem is solved as a least-distance problem, by non-negative least squares (Lawson, Hanson 1974, chapter 23). With
     h for the maximum, h + |y|^2 / 2 is, up to a negligible term, the distance from a point far down the axis of h. The first
-    solution includes only the limits that are near. If it violates others, these are added.
+    solution includes only limits on entries that are already close to them. Limits that this solution violates are added.
 
     Returns:
         The step t, and the weights of the cuts.

@@ -95,7 +95,7 @@ class NormTerm(Term):
         return self.landscape.cuts(x, omega[np.isfinite(omega)], value * self.unit)
 
     def reevaluate(self, x: Array, cuts: Cuts) -> Linearisation:
-        """Returns the gains at the same frequencies at another point. They need not be local maxima there."""
+        """Returns the gains at the same frequencies at another point. These gains need not be local maxima."""
         return self._made(x, cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:

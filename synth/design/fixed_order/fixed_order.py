@@ -7,9 +7,9 @@ search for each order starts from
 - the law with one state less, with an additional state that receives the measurements but has no effect yet;
 - random laws of every magnitude, if none of these laws is stable.
 
-The search is that of static gains (`design/static.py`). It runs on the plant with the law's states, with the zeros that the
-structure of the gain requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with
-a smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
+The search is that of static gains (`design/static.py`). The plant then includes the law's states, and the gain has the zeros
+that the structure requires (`pattern.py`). If the resulting poles are too fast for an actuator, the search is repeated with a
+smaller limit on the gain. The search stops early if an order reaches the lower bound. The law then has fewer states than
 allowed.
 """
 

@@ -1,9 +1,9 @@
 """Conversion of a law with a given structure to a static gain of a larger plant, and back.
 
-A law with k states is u = D y + C x_c, v = B y + A x_c on the plant with k integrators x_c' = v (`plant/augmented.py`). Its
-gain is [D, C; B, A]. If each force has its own law, this gain is block diagonal, up to the order of rows and columns. PI and
-PID laws are static gains on the outputs of fixed filters: y, its integral, and its filtered derivative. Every structure is thus
-a gain in which some entries are free and the others are zero.
+A law with k states is u = D y + C x_c, v = B y + A x_c on the plant with k integrators x_c' = v (`plant/augmented.py`). The
+gain of this law is [D, C; B, A]. If each force has its own law, this gain is block diagonal, up to the order of rows and
+columns. PI and PID laws are static gains on the outputs of fixed filters: y, its integral, and its filtered derivative. Every
+structure is thus a gain in which some entries are free and the others are zero.
 """
 
 from dataclasses import dataclass, replace

@@ -5,7 +5,7 @@ of LQR. With R = D'D and A_K = A + B K, the force is
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is that of LQR, so preview does not change the poles. It reduces the mean square of z to
+The feedback is that of LQR, so preview does not change the poles. Preview reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 

@@ -201,10 +201,10 @@ def lqg_law(plant: Plant, noise: Sequence[float]) -> LinearLaw:
 
 @numerics()
 def _design(plant: Plant, states: Sequence[str], all_known: bool, noise: Array | None = None) -> DesignResult:
-    """Designs the law with the smallest mean square of z. Its value is the H2 norm.
+    """Designs the law with the smallest mean square of z. The value of the result is the H2 norm.
 
     The norm is that of the given plant under white noise w and LQG's noise, without regularisation and without Dw. The
-    certificate is for the worst case of w. It excludes LQG's noise, because white noise has no rms.
+    certificate is for the worst case of w. The certificate excludes LQG's noise, because white noise has no rms.
 
     Args:
         noise: feedthrough from additional white noise to y, shape (q, k); it only affects the mean square.

@@ -8,15 +8,15 @@ solvers return wrong solutions, so each solution is checked.
 
 The order of a law is reduced in two ways. Neither guarantees a good loop, so the loop of a reduced law is checked again.
 
-- *Fast modes* follow their input almost immediately. They are replaced by their static gain in D_c (residualisation; Kokotovic,
-  Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
+- *Fast modes* follow their input almost immediately. Fast modes are replaced by their static gain in D_c (residualisation;
+  Kokotovic, Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
 - *Modes that cancel* have small Hankel singular values: the measurements hardly excite them, or they hardly affect the forces.
-  They are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
+  These modes are removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 The problem is singular if a measurement has no noise or a force has no cost. The best observer or the best gain is then
-infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. Their size is a share of the
-plant's internal units, in which a share means the same for all signals. All states are also disturbed and weighted a little.
-The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
+infinitely fast, and the Riccati equations have no solution. Noise and cost are therefore added. The size of both is a share of
+the plant's internal units, in which the same share is suitable for all signals. All states are also disturbed and weighted a
+little. The norm of this regularised problem bounds the norm of the true loop, which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
@@ -136,8 +136,8 @@ def _stabilising_solution(A: Array, B: Array, C: Array, D: Array, R: Array) -> t
 def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     """Returns X = X' for which [I; X] spans the stable subspace of the Riccati equation's pencil.
 
-    The method is that of `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). It omits the checks,
-    which take most of the time for small equations. The caller checks every solution.
+    The method is that of `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil). The checks are
+    omitted, because they take most of the time for small equations. The caller checks every solution.
 
     Raises:
         LinAlgError: the dimension of the stable subspace is not n, or its first block is singular.
@@ -263,8 +263,8 @@ class TradeOffPoint:
         law: law in the given units.
         own: law in the plant's internal units.
         search: search that found the law.
-        least: lower estimate of the norm: the largest gain at the poles' frequencies. It takes a tenth of the time of a norm,
-            and rules out most points.
+        least: lower estimate of the norm: the largest gain at the poles' frequencies. Computing this estimate takes a tenth of
+            the time of a norm, and the estimate rules out most points.
         speed_up: fastest pole of the loop, relative to the plant's speed without control.
     """
 
@@ -338,7 +338,7 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
-    """Returns the controller with the least trouble among those of nearly the smallest cost that are slow enough, or None.
+    """Returns the controller with the smallest `trouble` among slow enough ones of nearly the smallest cost, or None.
 
     Args:
         trade: controllers in any order.
@@ -393,7 +393,7 @@ class RiccatiSearch:
         return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for all shares and several gamma, also without their poles beyond the fastest allowed."""
+        """Returns controllers for all shares of noise and cost and several gamma, also without their too fast poles."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
@@ -402,12 +402,12 @@ class RiccatiSearch:
         return points + self.slower(points, fastest)
 
     def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
-        """Returns the controllers for a share, with gamma from its smallest value upwards."""
+        """Returns the controllers for a share of noise and cost, with gamma from its smallest value upwards."""
         tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
         return [each for each in tried if each is not None]
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns controllers for shares between the fastest slow enough one and the slowest too fast one of a front."""
+        """Returns controllers for shares between two neighbours on a front: the last slow enough, and the first too fast."""
         slow, quick = (
             [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
         )
@@ -433,9 +433,9 @@ class RiccatiSearch:
         return left
 
     def smallest(self, share: float, above: float) -> float:
-        """Returns the smallest gamma for which the regularised problem with a share has a law.
+        """Returns the smallest gamma for which the regularised problem has a law, for a given share of noise and cost.
 
-        It is at most that of a larger share, `above`.
+        This gamma is at most `above`, the smallest gamma for a larger share.
         """
         low = max(_coarse(self.bound), SMALLEST)
         high, guess = above, 2 * low
@@ -449,7 +449,7 @@ class RiccatiSearch:
         return high
 
     def traded(self, share: float, gamma: float) -> TradeOffPoint | None:
-        """Returns the controller of a share and a gamma, with its norm; None if it does not exist or its loop is not stable."""
+        """Returns the controller for a share of noise and cost and a gamma; None if there is no stable loop."""
         with contextlib.suppress(InputError):  # the problem is infeasible, or an entry of the law is too large
             return self.judged(share, self.law(share, gamma))
         return None

@@ -1,10 +1,10 @@
 """Full-order laws that are stable themselves, so that they do not wind up when forces saturate.
 
-Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. It
-searches for one gain [D, C; B, A] for two plants. The first is the plant with the law's states. The second consists of these
-states alone, x_c' = v, with a small weight. Its loop is x_c' = A x_c, whose norm is finite as long as the law is stable. A law
-that subtracts forces from its measurements runs with another A than it is designed with, so stability is checked for the law
-that runs.
+Central laws for a larger gamma are slower, and some of them are stable. A descent continues from the best stable laws. This
+descent searches for one gain [D, C; B, A] for two plants. The first is the plant with the law's states. The second consists of
+these states alone, x_c' = v, with a small weight. The loop of the second plant is x_c' = A x_c. The norm of this loop is finite
+as long as the law is stable. The matrix A of a law that subtracts forces from its measurements changes before the law runs. The
+stability of such a law is checked in the form in which the law runs.
 """
 
 import contextlib

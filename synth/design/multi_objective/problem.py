@@ -207,7 +207,7 @@ class MultiObjectiveProblem(CheckedFields):
         return BandLandscape(errors.on(self.members[i].plants[which]), band, like)
 
     def nominal(self) -> BandLandscape:
-        """Returns the landscape of the first member without errors. It defines the points of all landscapes."""
+        """Returns the landscape of the first member without errors. This landscape defines the points of all landscapes."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 

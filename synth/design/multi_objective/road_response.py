@@ -272,7 +272,7 @@ def _finite(rates: Array) -> Array:
 def step_for(rate: float, share: float, end: float) -> float:
     """Returns the time step for the fastest motion and for the road.
 
-    The step is a share of a radian of the fastest motion. For a short road it is reduced, at most to an eighth.
+    The step is a share of a radian of the fastest motion. A short road reduces the step, at most to an eighth.
 
     Args:
         rate: magnitude of the fastest pole [rad/s].

@@ -96,7 +96,7 @@ class WorstCaseErrors:
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
         """Returns the largest real part of the poles that the gain can move [rad/s], over all points tried, and its errors.
 
-        It is infinite if a loop has no solution. For a discrete plant, the poles are those of its continuous image.
+        The value is infinite if a loop has no solution. For a discrete plant, the poles are those of its continuous image.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         if count > CORNERS:

@@ -194,7 +194,7 @@ def _error_margin(heights: WorstCaseNormFunction, rays: Array, level: float) -> 
 def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """Returns the smallest amount along the rays that exceeds a level, and its errors.
 
-    If no amount exceeds the level, it is infinite, and the errors are those at the end of the ray with the largest norm.
+    If no amount exceeds the level, the result is infinite, with the errors at the end of the ray with the largest norm.
     """
     best, at = np.inf, None
     for ray in rays:

@@ -334,8 +334,8 @@ class _Search:
 def _multipliers(T: Array, k: int, square: float, start: Array | None) -> tuple[float, Array | None]:
     """Returns a provable gamma^2 for a frequency response, and central multipliers [D, G] for a given gamma^2, shape (2 k,).
 
-    If the given gamma^2 is too low, the result is the smallest provable gamma^2, and None for D and G. It is infinite if
-    nothing can be proved.
+    If the given gamma^2 is too low, the result is the smallest provable gamma^2, and None for D and G. This gamma^2 is infinite
+    if nothing can be proved.
 
     Args:
         start: [D, G] of a similar frequency response; None if unknown.

@@ -9,8 +9,8 @@ The proof is that of `multipliers.py` for errors of size 1 / gamma. D contains t
 errors that depend on frequency have a phase. If no scales give a value below the level at some frequency, the level is too low,
 and this frequency belongs to a higher peak.
 
-The largest singular value is a convex function of the logarithms of the scales. Its Schatten norm is smooth and convex, too,
-and tends to the largest singular value as its power grows.
+The largest singular value is a convex function of the logarithms of the scales. The Schatten norm of the matrix is smooth and
+convex, too. With a growing power, this norm tends to the largest singular value.
 """
 
 from dataclasses import dataclass

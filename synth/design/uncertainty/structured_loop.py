@@ -26,7 +26,7 @@ COARSE = 120  # number of frequencies at which the magnitudes of M's entries are
 
 @dataclass(frozen=True, eq=False)
 class StructuredLoop:
-    """Loop M with k errors. Its last k inputs are p, and its last k outputs are q.
+    """Loop M with k errors. The last k inputs of the loop are p, and the last k outputs are q.
 
     Attributes:
         loop: system from [w; p] to [z; q], shape (d + k, r + k); only from p to q if there is no performance block.

@@ -4,10 +4,10 @@ The X of the bound is found with Newton's method on a barrier function:
 
     minimise t   so that   (20) of every loop  <=  t I,   X > 0,
 
-The coordinates are such that the first X is I. If t is below zero, X proves the bound. Few corners of the box determine the
-bound. The search starts from some corners, and adds those at which the current X violates (20). If no X is found, the box is
-divided into parts, each with its own X. If this proves no close bound, multipliers (`multipliers.py`) follow, because a common
-X is conservative for constant errors.
+In the coordinates of this problem, the first X is I. If t is below zero, X proves the bound. Few corners of the box determine
+the bound. The search starts from some corners, and adds those at which the current X violates (20). If no X is found, the box
+is divided into parts, each with its own X. If this proves no close bound, multipliers (`multipliers.py`) follow, because a
+common X is conservative for constant errors.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ SEED = 20261122
 
 
 class WorstCaseNormFunction:
-    """Norm as a function of the factors of a gain. It stores the largest value found.
+    """Norm as a function of the factors of a gain. The object stores the largest value found.
 
     Attributes:
         highest: largest norm found so far; infinite if a loop was unstable.
