@@ -152,12 +152,12 @@ def _with_disturbances(plant: Plant, where: Array) -> Plant:
 
 
 def _with_all_outputs(plant: Plant, own: Plant, scale: Array, forces: Array) -> Plant:
-    """Returns the plant with every state and every input as an additional output in z, each scaled by its own unit.
+    """Returns the plant with every state and every input as an additional output in z, each scaled by its internal unit.
 
     Args:
-        own: the given plant in own units.
-        scale: own unit of each state, shape (n,).
-        forces: own unit of each input, shape (m,).
+        own: the given plant in internal units.
+        scale: internal unit of each state, shape (n,).
+        forces: internal unit of each input, shape (m,).
     """
     n, m = plant.B.shape
     weight = size(own.C)

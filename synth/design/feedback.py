@@ -72,14 +72,14 @@ def design_feedback(
         plant: generalised plant with n states and m inputs; continuous, or discrete with sample period dt.
         Cy: measurement matrix of y = C_y x + Dyw w, shape (q, n). By default, the measurements of the plant, or all states if
             the plant has no measurements.
-        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
         order: "static" (default), "full" for a law with as many states as the plant, or a smaller number of states.
         design: "lqr", "lqg" or "h2" for the smallest mean square of z instead of the smallest H-infinity norm.
         stable: True if the law itself must be stable; only for a law with an `order`.
         fastest_pole: largest magnitude of the closed-loop poles [rad/s], for order = "full" of a continuous plant; None for no
             limit.
-        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, this noise is a further disturbance with this
-            gain. For LQG it is white noise, see `lqg_design`.
+        noise: rms noise of each measurement, shape (q,). For the H-infinity norm, the noise counts as an additional disturbance
+            of size 1, multiplied by this rms. For LQG it is white noise, see `lqg_design`.
         sample_period: sample period of the computer that closes the loop of a continuous plant and holds the forces [s].
         delay: delay from a measurement to its force [sample periods].
         minimise: the norm to minimise, for example {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.

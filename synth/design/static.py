@@ -95,8 +95,8 @@ def static_output_feedback(
             may lead to another local minimum.
         lower_bound: lower bound on the norm of every such controller. The search ends early if it comes close to this bound,
             and the certificate contains the bound.
-        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r); zero by default. The paper's two steps
-            ignore Dyw. The result of the two steps is only one of the starting points.
+        Dyw: direct effect of w on the measurements, y = C_y x + Dyw w, shape (q, r). By default zero, or that of the plant if
+            Cy is not given. The paper's two steps ignore Dyw. The result of the two steps is only one of the starting points.
         rival: norm that another design reaches. The search ends early for gains that stay far above this norm. The default,
             infinity, means that there is no other design.
 

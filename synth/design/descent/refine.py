@@ -62,7 +62,7 @@ def refine(plant: Plant, Cy: Array | None, K: Array, Dyw: Array | None = None) -
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n); that of the plant by default.
         K: gain of u = K y from which the descent starts, shape (m, q).
-        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
 
     Returns:
         The refined gain, and the norms before and after.

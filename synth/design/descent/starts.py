@@ -113,7 +113,7 @@ EVERYWHERE = 1e-6  # power of an additional disturbance of every state, relative
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; rounding may prevent this."""
+    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; fewer if rounding prevents one."""
     plant = landscape.plant
     A, Cy, C, (n, m) = plant.A, plant.Cy, plant.C, plant.B.shape
     # unit of the forces in which a force of one moves the states about as fast as the plant does

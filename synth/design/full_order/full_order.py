@@ -164,7 +164,7 @@ def full_order_design(
     Args:
         plant: generalised plant with n states and m inputs.
         Cy: measurement matrix, shape (q, n); that of the plant by default.
-        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
         lower_bound: lower bound on the norm of every controller from these measurements; computed by default.
         states: names of the states, for messages.
         fastest: limit on the magnitude of the closed-loop poles, relative to the plant's own speed; for a continuous plant.

@@ -110,7 +110,7 @@ def h2_design(plant: Plant, Cy: Array | None = None, Dyw: Array | None = None, s
     Args:
         plant: generalised plant with n states, m inputs and r disturbances.
         Cy: measurement matrix, shape (q, n); that of the plant by default.
-        Dyw: direct effect of w on the measurements, shape (q, r); that of the plant by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
 
     Returns:
         A law with as many states as the plant, its certificate, and its H2 norm.

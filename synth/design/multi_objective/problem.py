@@ -85,7 +85,7 @@ class FamilyMember(CheckedFields):
 
     Attributes:
         plants: the plant with its measurements, once for each norm with the z of this norm.
-        driven_by: the plant on roads, each with its bounded signal.
+        driven_by: one entry per bounded peak: the plant, its road, and the bounded signal.
         signals: signals of the first of `plants` that are bounded for disturbances of a given energy.
     """
 

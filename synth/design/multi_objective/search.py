@@ -263,7 +263,7 @@ class MinimaxSearch:
         return [x for _, x in kept]
 
     def stabilised(self, x: Array) -> Array:
-        """Returns a point at which the largest real part of the poles of all loops is smaller."""
+        """Lowers the largest real part of the poles of all loops from a point. Returns the new point."""
         moved = lower_poles([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 

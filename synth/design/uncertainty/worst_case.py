@@ -405,7 +405,7 @@ def worst_norm(
         K: gain of u = K y, shape (m, q); or a law with states, whose measurements and forces then have the errors.
         d: largest error of all measurements, or of each measurement, shape (q,); 0.1 means 10 %.
         e: largest error of all forces, or of each force, shape (m,).
-        Dyw: direct effect of w on the measurements, shape (q, r); zero by default.
+        Dyw: direct effect of w on the measurements, shape (q, r). By default zero, or that of the plant if Cy is not given.
         through: direct effect of the forces on the measurements, shape (q, m); zero by default.
         enough: a bound to prove separately if no bound at most this large is proved otherwise; None for no such bound.
 
