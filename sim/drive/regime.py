@@ -238,7 +238,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
         for limit in end.thresholds(vehicle):
             values = limit.of(response)
             if limit.of_rate:
-                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # starts from equilibrium
+                values = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(1, 0)])  # the forces before the first sample are zero
                 share = np.maximum(share, np.fmax.reduce(np.abs(command_rates(values, way, interval)), axis=-1) / limit.value)
                 continue
             share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
@@ -262,7 +262,7 @@ def _way_and_interval(vehicle: Vehicle, timestep: float, predicted: bool) -> tup
     return way, vehicle.implementation.sample_period or timestep or math.inf
 
 
-@np.errstate(over="ignore", invalid="ignore")  # for runs that have diverged
+@np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
 def command_rates(forces: Array, way: Any, interval: Any) -> Array:
     """Returns the rates of commands between samples [N/s], shape (..., T - 1).
 
@@ -391,7 +391,7 @@ class EndDetector:
         when = self.samples[start + beyond[:, hit].argmax(axis=0)]
         self.times[hit, end] = np.minimum(self.times[hit, end], when)
 
-    @np.errstate(over="ignore", invalid="ignore")  # for runs that have diverged
+    @np.errstate(over="ignore", invalid="ignore")  # runs that have diverged may overflow
     def _demands(self, signal: int, values: Array) -> Array:
         """Returns the forces requested from lagging actuators [N], without the last sample; 0 if clipping does not count."""
         forces = values[:, signal]

@@ -236,7 +236,7 @@ class Response(ShownResult):
             raise InputError(f"the response contains runs of shape {self.values.shape[:-2]}; select one, as in response.run(0)")
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # for an unstable loop, which overflows
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop may overflow
 def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference of two responses, relative to the peaks of the sampled one. The verdict uses the largest value.
 

@@ -59,7 +59,7 @@ class Stepper:
         (n, m), s, own = model.B.shape, shown.shape[1], self._forces.states if self._forces.moves else 0
         self._n, self._s, self._own, self.shown, self.ratios = n, s, own, shown, MotionRatios([vehicle])
         V = np.pad(rows[s:], ((0, 0), (0, n - rows.shape[1]))) if self._forces.inertial else np.zeros((0, n))
-        self._response = V[:, : len(push)] @ push  # effect of the forces on v'
+        self._response = V[:, : len(push)] @ push  # change of v' per unit of force
         # the states of parts are the last ones of the linear model
         push = np.hstack([push, np.eye(len(push), own, own - len(push))])
         w = s + own
@@ -317,7 +317,7 @@ class SteppedRuns:
         start, added = (one.reshape(-1, one.shape[-1]) for one in (self.states, added))
         end = half(half(start, added), added).reshape(self.states.shape)
         local = np.zeros_like(self.states)
-        local[:-1] = 16 / 15 * (end[:-1] - self.states[1:])  # estimate for a method of order 4
+        local[:-1] = 16 / 15 * (end[:-1] - self.states[1:])  # error estimate for a method of order 4
         error = np.moveaxis(recursion(linalg.expm(model.A * h), np.moveaxis(local, 1, 0)), 0, 1)
         return replace(self, states=self.states + error).response
 

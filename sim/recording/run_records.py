@@ -335,6 +335,6 @@ def _active(run: Run) -> tuple[str, ...]:
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
     gains = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # for an unstable loop
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow
         peaks = [float(np.nan_to_num(gain * run.sampled.peak(name), nan=np.inf)) for gain, name in zip(gains, names, strict=True)]
     return tuple(names[i] for i in np.argsort(-np.array(peaks), kind="stable"))

@@ -289,7 +289,7 @@ def road_surface(track: Track) -> tuple[Array, Array, Array]:
 
     here = np.arange(count - 1)
     quads = []
-    for one, other in ((0, 1), (2, 3), (4, 5)):  # the top and both sides
+    for one, other in ((0, 1), (2, 3), (4, 5)):  # the top and both sides of the slab
         a, b = here + one * count, here + other * count
         quads += [np.stack([a, b, a + 1], axis=1), np.stack([a + 1, b, b + 1], axis=1)]
     return vertices, colours, np.concatenate(quads)

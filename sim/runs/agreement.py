@@ -104,7 +104,7 @@ class LinearComparison:
         return self.prediction.cause or own
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # for an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def signals(self) -> Mapping[str, SignalAgreement]:
         """Differences of each output signal by name."""
         prediction, signals = self.prediction, dict[str, SignalAgreement]()
@@ -134,7 +134,7 @@ class LinearComparison:
         return doubtful and any(error > COARSEST for error in self._own_errors.values())
 
     @cached_property
-    @np.errstate(over="ignore", invalid="ignore")  # for an unstable loop
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop may overflow
     def _own_errors(self) -> dict[str, float]:
         """RK4's own error of each signal, relative to the peak of the response without this error."""
         exact = self.prediction.sampled if self.prediction.finer is None else self.prediction.finer

@@ -108,7 +108,7 @@ class RunResult:
         line, physics = (one.until(self.agreement.until) for one in (line, self.physics))
         left_out = {one.name for fitted in self.vehicle.parts if fitted.part.kinked_at_rest for one in fitted.states}
         names = [name for name in self.agreement.signals if name not in left_out]
-        with np.errstate(over="ignore", invalid="ignore"):  # for an unstable linearisation
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable linearisation may overflow
             apart = {name: float(np.max(np.abs(physics[name] - line[name]))) for name in names}
             return {name: one / (physics.scale(name) or 1.0) for name, one in apart.items()}
 

@@ -302,7 +302,7 @@ class GainSearch:
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
-        with up_to_rounding():  # in a loop near the stability limit
+        with up_to_rounding():  # rounding errors may end the descent of a loop near the stability limit
             x, _ = descend_norm(self.landscape, candidate.x, self.limit, rounds, self.enough)
             moved = self.feasible_candidates(x, candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)

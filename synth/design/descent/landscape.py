@@ -35,7 +35,7 @@ from synth.plant.generalized import Plant
 # pyright: reportAttributeAccessIssue=false
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
-FAR = 1e4  # multiple of the fastest pole
+FAR = 1e4  # frequency close to infinity, as a multiple of the fastest pole
 POLES = 0.3  # work for the poles alone, as a share of the work for a norm
 
 
@@ -464,7 +464,7 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
 
 def _root(variance: Array) -> Array:
     """Returns the inverse square root of a variance; the identity if the variance is zero or not finite."""
-    if not np.all(np.isfinite(variance)):  # for a loop at the stability limit
+    if not np.all(np.isfinite(variance)):  # a loop at the stability limit
         return np.eye(len(variance))
     sizes, directions = np.linalg.eigh((variance + variance.T) / 2)
     if not sizes[-1] > 0:

@@ -252,7 +252,7 @@ def descend(
         The final point, and its evaluation.
     """
     walk = _Walk(minimax, x, M, settled, flat)
-    with up_to_rounding():  # for a loop at the stability limit
+    with up_to_rounding():  # rounding errors may end the descent of a loop at the stability limit
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
@@ -348,7 +348,7 @@ class _Walk:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
             self.kept_cuts += beyond
             return True
-        # for a minimum that is far away, or at infinity
+        # longer steps, if a minimum is far away or at infinity
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):
             needed = self.merit(there) - 0.1 * length * fall * here
             further = self.at(x + 3 * length * move, needed)

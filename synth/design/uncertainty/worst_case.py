@@ -144,7 +144,7 @@ def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
         factors = point(t)
         value = heights.norm(factors)
         if not np.isfinite(value):
-            raise StopIteration  # no norm is higher
+            raise StopIteration  # the norm is infinite, so none is higher
         return -np.log(value), -heights.slope(factors)[free] * half / value
 
     t = (start - middle)[free] / half
